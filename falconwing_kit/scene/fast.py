@@ -3,7 +3,8 @@
 It equals `reference` to a hundredth of a grey level and trades readability for speed; it has no
 gradients. Steps:
 
-    project    each Gaussian becomes a splat: an ellipse in the image with a colour, if in view
+    project    each Gaussian becomes a splat: an ellipse in the image with a colour, if in view;
+               several at once
     sort       the splats, nearest first
     intersect  the tiles of the image that each ellipse overlaps, exactly
     scatter    one list per tile, nearest first
@@ -30,7 +31,7 @@ from falconwing_kit.scene import sh as harmonics
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene, Images
 
-NEAR = 0.01  # smallest depth that is drawn [m]
+NEAR, FAR = 0.01, 3.4e38  # least depth that is drawn, and the largest of a float32 [m]
 BLUR = 0.3  # added to the variances of every splat, so that none falls between pixels [px^2]
 FRUSTUM_MARGIN = 0.3  # in half fields of view: the projection is linearised only up to there
 ALPHA_MAX, ALPHA_MIN = 0.999, 1.0 / 255.0
@@ -42,6 +43,8 @@ TRANSMITTANCE_MIN = 1e-4  # a pixel that transmits less is saturated
 WORK_PARTS = 16  # parts of every step, shared by the threads
 TILE_WIDTH, TILE_HEIGHT = 16, 16  # [px], at most 16; the width is two AVX2 registers
 TILE_PIXELS = TILE_WIDTH * TILE_HEIGHT
+DIGITS, LAST_DIGIT = 1 << 14, np.uint64((1 << 14) - 1)  # of a pass of the sort by depth
+NEAR_BITS = np.float32(NEAR).view(np.uint32)
 BATCH = 32  # splats fetched together, so that their waits for memory overlap
 MAX_INTERSECTIONS = 1 << 24  # splats times tiles, 8 bytes each; with more the image is cut in bands
 
@@ -201,13 +204,13 @@ def project_kernel(
         project_block(count, R_world_camera, lens, block)
         for lane in range(count):
             i, j = indices[lane], np.uint64(lane)
-            opacity = opacities[i] * (block[SHRINKAGE + j] if antialiased else 1.0)
+            opacity = opacities[i] * (block[ANTIALIASING + j] if antialiased else 1.0)
             if not opacity >= ALPHA_MIN:
                 continue
             # Bounding box of the ellipse, and whether it overlaps the image
             s, neg_log_opacity = splats[place], -math.log(np.float32(opacity))
             extent = math.sqrt(2.0 * max(LN_255 - neg_log_opacity, 0.0))
-            s.u, s.v = fx * block[X + j] + cx, fy * block[Y_ + j] + cy
+            s.u, s.v = fx * block[X_PER_Z + j] + cx, fy * block[Y_PER_Z + j] + cy
             s.extent_u, s.extent_v = extent * block[SD_U + j], extent * block[SD_V + j]
             if not (s.u + s.extent_u >= 0.0 and s.u - s.extent_u <= width):
                 continue
@@ -219,19 +222,20 @@ def project_kernel(
             s.correlation, s.complement = block[CORRELATION + j], block[COMPLEMENT + j]
             s.conic_slope, s.conic_u = block[CONIC_SLOPE + j], block[CONIC_U + j]
             s.conic_v, s.neg_log_opacity = block[CONIC_V + j], neg_log_opacity
-            depths[place] = s.depth = block[Z + j]
+            depths[place] = s.depth = block[DEPTH + j]
             s.red, s.green, s.blue = evaluate_colour(i, sh, vector_to(i, means, p_world), Y)
             place += 1
     counts[part] = place - begin
 
 
-# Columns of a block of Gaussians, one after the other in one array, where the compiler sees that
-# they do not overlap, so that it projects several Gaussians at once.
+# A block of Gaussians that are projected together: columns of BLOCK numbers, all in one array,
+# where the compiler sees that they do not overlap and so takes several Gaussians at once.
 BLOCK, BLOCK_COLUMNS = 64, 18
-X, Y_, Z, QUATERNION_W, QUATERNION_X, QUATERNION_Y, QUATERNION_Z, SCALE_0, SCALE_1, SCALE_2 = (
-    np.uint64(BLOCK * k) for k in range(10)
+X_PER_Z, Y_PER_Z, DEPTH, QUATERNION_W, QUATERNION_X, QUATERNION_Y, QUATERNION_Z = (
+    np.uint64(BLOCK * k) for k in range(7)
 )
-SD_U, SD_V, CORRELATION, COMPLEMENT, CONIC_SLOPE, CONIC_U, CONIC_V, SHRINKAGE = (
+SCALE_0, SCALE_1, SCALE_2 = (np.uint64(BLOCK * k) for k in range(7, 10))
+SD_U, SD_V, CORRELATION, COMPLEMENT, CONIC_SLOPE, CONIC_U, CONIC_V, ANTIALIASING = (
     np.uint64(BLOCK * k) for k in range(10, 18)
 )
 
@@ -242,8 +246,8 @@ def gather_block(
 ):
     """Fill a block with the next Gaussians that may be in view; where to go on, and their number.
 
-    Left out is what is behind the camera, and what is so far out that a ball of the Gaussian's
-    largest scale, in the axes of project_block, ends before the image.
+    Left out is what is nearer than NEAR or behind, and what is so far out that even a ball of the
+    Gaussian's largest scale ends outside the image.
     """
     fx, fy, cx, cy, width, height = lens
     x_min, x_max, y_min, y_max = linear_range(lens)
@@ -252,7 +256,7 @@ def gather_block(
         i = start
         start += 1
         x, y, z = rotate_to_camera(vector_to(i, means, p_world), R_world_camera)
-        if not z >= NEAR:
+        if not NEAR <= z <= FAR:
             continue
         per_z = 1.0 / z
         x, y = x * per_z, y * per_z
@@ -265,7 +269,7 @@ def gather_block(
         if out_u * out_u > reach_u or out_v * out_v > reach_v:
             continue
         j = np.uint64(count)
-        indices[count], block[X + j], block[Y_ + j], block[Z + j] = i, x, y, z
+        indices[count], block[X_PER_Z + j], block[Y_PER_Z + j], block[DEPTH + j] = i, x, y, z
         block[QUATERNION_W + j], block[QUATERNION_X + j] = quaternions[i, 0], quaternions[i, 1]
         block[QUATERNION_Y + j], block[QUATERNION_Z + j] = quaternions[i, 2], quaternions[i, 3]
         block[SCALE_0 + j], block[SCALE_1 + j] = scales[i, 0], scales[i, 1]
@@ -308,28 +312,25 @@ def project_block(count, R_world_camera, lens, block):
         A_0 = scaled_axis(block[SCALE_0 + j], axis_0, R)
         A_1 = scaled_axis(block[SCALE_1 + j], axis_1, R)
         A_2 = scaled_axis(block[SCALE_2 + j], axis_2, R)
-        # The rows of J A, and the covariance from them
-        per_z = 1.0 / block[Z + j]
-        x, y = clamp(block[X + j], x_min, x_max), clamp(block[Y_ + j], y_min, y_max)
-        x_per_m, y_per_m = fx * per_z, fy * per_z
-        a, b, c = (
-            x_per_m * (A_0[0] - x * A_0[2]),
-            x_per_m * (A_1[0] - x * A_1[2]),
-            x_per_m * (A_2[0] - x * A_2[2]),
-        )
-        d, e, f = (
-            y_per_m * (A_0[1] - y * A_0[2]),
-            y_per_m * (A_1[1] - y * A_1[2]),
-            y_per_m * (A_2[1] - y * A_2[2]),
-        )
+        # The rows (a, b, c) and (d, e, f) of J A, and the covariance from them
+        per_z = 1.0 / block[DEPTH + j]
+        x, y = clamp(block[X_PER_Z + j], x_min, x_max), clamp(block[Y_PER_Z + j], y_min, y_max)
+        per_m_u, per_m_v = fx * per_z, fy * per_z  # pixels of a metre
+        a, d = per_m_u * (A_0[0] - x * A_0[2]), per_m_v * (A_0[1] - y * A_0[2])
+        b, e = per_m_u * (A_1[0] - x * A_1[2]), per_m_v * (A_1[1] - y * A_1[2])
+        c, f = per_m_u * (A_2[0] - x * A_2[2]), per_m_v * (A_2[1] - y * A_2[2])
         uu, uv, vv = a * a + b * b + c * c, a * d + b * e + c * f, d * d + e * e + f * f
-        # |row u x row v|^2 is the determinant before BLUR, >= 0 despite rounding
+        # The square of the rows' cross product: the determinant before BLUR, >= 0 despite rounding
         x, y, z = b * f - c * e, c * d - a * f, a * e - b * d
         area = x * x + y * y + z * z
         det = area + BLUR * (uu + vv) + BLUR * BLUR
         uu, vv = uu + BLUR, vv + BLUR
         sd_u, sd_v = math.sqrt(uu), math.sqrt(vv)
-        block[SD_U + j], block[SD_V + j], block[SHRINKAGE + j] = sd_u, sd_v, math.sqrt(area / det)
+        block[SD_U + j], block[SD_V + j], block[ANTIALIASING + j] = (
+            sd_u,
+            sd_v,
+            math.sqrt(area / det),
+        )
         # The conic, cov^-1, with its square completed in du
         per_vv, per_sds = 1.0 / vv, 1.0 / (sd_u * sd_v)
         block[CORRELATION + j], block[COMPLEMENT + j] = uv * per_sds, math.sqrt(det) * per_sds
@@ -400,32 +401,31 @@ def tile_range(center, extent, side, first, last):
 
 @compile_kernel
 def sort_by_depth(indices, keys):
-    """The indices sorted by their keys (N,), the bits of positive floats, which sort as the floats.
+    """The indices sorted by their keys (N,), the bits of depths from NEAR on, which sort as depths.
 
-    A radix sort: stable counting sorts by 14 bits each, so that equal keys keep their order. From
-    the smallest key on, two of them suffice for depths from a centimetre to 100 m.
+    A radix sort: stable counting sorts by 14 bits each, so that equal keys keep their order. Two of
+    them suffice up to a depth of 40,000 km.
     """
     pairs, ordered = np.empty(len(indices), np.uint64), np.empty(len(indices), np.uint64)
-    smallest, largest = np.uint32(0xFFFFFFFF), np.uint32(0)
-    for i in indices:
-        smallest, largest = min(smallest, keys[i]), max(largest, keys[i])
+    largest = np.uint64(0)
     for k in range(len(indices)):
-        pairs[k] = np.uint64(keys[indices[k]] - smallest) << np.uint64(32) | np.uint64(indices[k])
-    spread, bits = np.uint64(largest) - np.uint64(smallest), np.uint64(0)
-    while len(indices) and spread >> bits:
-        shift = bits + np.uint64(32)
-        places = np.zeros((1 << 14) + 1, np.uint32)
+        key = np.uint64(keys[indices[k]] - NEAR_BITS)
+        pairs[k] = key << np.uint64(32) | np.uint64(indices[k])
+        largest = max(largest, key)
+    bits = np.uint64(0)
+    while largest >> bits:
+        places = np.zeros(DIGITS + 1, np.uint32)
         for pair in pairs:
-            places[(pair >> shift & np.uint64(0x3FFF)) + np.uint64(1)] += np.uint32(1)
-        for digit in range(1 << 14):
+            places[(pair >> (bits + np.uint64(32)) & LAST_DIGIT) + np.uint64(1)] += np.uint32(1)
+        for digit in range(DIGITS):
             places[digit + 1] += places[digit]
         for pair in pairs:
-            digit = pair >> shift & np.uint64(0x3FFF)
+            digit = pair >> (bits + np.uint64(32)) & LAST_DIGIT
             ordered[places[digit]] = pair
             places[digit] += np.uint32(1)
         pairs, ordered = ordered, pairs
         bits += np.uint64(14)
-    return (pairs & np.uint64(0xFFFFFFFF)).astype(np.uint32)
+    return pairs.astype(np.uint32)  # the lower half of each pair
 
 
 @compile_kernel
@@ -508,20 +508,14 @@ def rasterize_tiles(
         x0, y0 = (first_column + tile // down) * TILE_WIDTH, tile % down * TILE_HEIGHT
         tile_state[:TILE_PIXELS] = 1.0
         tile_state[TILE_PIXELS:] = 0.0
-        first_open, last_open = 0, TILE_HEIGHT - 1  # rows before and after are saturated
         for k in range(tile_offsets[tile], tile_offsets[tile + 1], BATCH):
             count = min(BATCH, tile_offsets[tile + 1] - k)
             for j in range(count):
                 batch[j] = splats[tile_intersections[k + j] >> 32]
             for j in range(count):
                 top, bottom = tile_intersections[k + j] >> 4 & 15, tile_intersections[k + j] & 15
-                top, bottom = max(top, first_open), min(bottom, last_open)
                 blend_splat(batch[j], top, bottom, x0, y0, tile_state)
-            while first_open <= last_open and is_row_saturated(first_open, tile_state):
-                first_open += 1
-            while first_open <= last_open and is_row_saturated(last_open, tile_state):
-                last_open -= 1
-            if first_open > last_open:
+            if is_tile_saturated(tile_state):
                 break
         for row in range(min(TILE_HEIGHT, height - y0)):
             for lane in range(min(TILE_WIDTH, width - x0)):
@@ -535,10 +529,10 @@ def rasterize_tiles(
 
 
 @compile_kernel
-def is_row_saturated(row, tile_state):
-    """Whether every pixel of a row of the tile is saturated."""
+def is_tile_saturated(tile_state):
+    """Whether every pixel of the tile is saturated."""
     open_pixels = 0
-    for i in range(row * TILE_WIDTH, (row + 1) * TILE_WIDTH):
+    for i in range(TILE_PIXELS):
         open_pixels += tile_state[i] > 0.0
     return open_pixels == 0
 
