@@ -103,7 +103,7 @@ def render_fast(
 
         def run(kernel: Any, *arguments: Any) -> None:
             """Run all parts of a kernel's step, and wait for the last."""
-            parts = iter(range(WORK_PARTS))  # each thread takes the next one that nobody has
+            parts = iter(range(WORK_PARTS))  # every thread takes the next
 
             def work() -> None:
                 for part in parts:

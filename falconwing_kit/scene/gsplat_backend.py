@@ -41,13 +41,23 @@ def render_gsplat(
         call of gsplat share a block of memory, which is freed with the last of them.
 
     Raises:
-        InputError: gsplat cannot run here; the text says why and what it needs.
+        InputError: gsplat cannot run here, or its memory is full; the text says why and what it
+            needs.
     """
     probe_gsplat()
+    import torch
+
     calls = -(-len(Ts_world_camera) // poses_per_call(scenes, camera))
     for poses in np.array_split(Ts_world_camera, calls):
-        colours, alphas = rasterize(scenes, camera, poses, background, antialiased)
-        yield from zip(*download(colours, alphas), strict=True)
+        try:
+            images = download(*rasterize(scenes, camera, poses, background, antialiased))
+        except torch.cuda.OutOfMemoryError:
+            size = f"{len(poses)} images of {camera.width}x{camera.height}"
+            raise InputError(
+                f"backend: expected room for {size} and the scene on the GPU, got out of memory;"
+                " end other programs there, or use backend 'fast'"
+            ) from None
+        yield from zip(*images, strict=True)
 
 
 def rasterize(

@@ -224,6 +224,21 @@ def test_gsplat_that_cannot_render_is_said_in_one_sentence(stand_in, broken, rea
     assert "\n" not in str(caught.value)
 
 
+def test_a_full_gpu_is_said_in_one_sentence(stand_in):
+    """torch's own error where the images do not fit, after the one Gaussian of the probe did."""
+    render(scene(), CAMERA, POSE, "gsplat")
+
+    def full(*args, **kwargs):
+        raise torch.cuda.OutOfMemoryError("CUDA out of memory.\n Tried to allocate 9 GiB")
+
+    stand_in.rasterization = full
+    with pytest.raises(
+        InputError, match=r"^backend: expected room for 2 images of 16x11"
+    ) as caught:
+        render_batch(scene(), CAMERA, [POSE, POSE], "gsplat")
+    assert "\n" not in str(caught.value)
+
+
 def test_missing_gsplat_is_said_with_its_remedy(stand_in, monkeypatch):
     """None in sys.modules makes the import fail as if it were not installed."""
     monkeypatch.setitem(sys.modules, "gsplat", None)
