@@ -189,7 +189,9 @@ def _pose_net(scene: str) -> PoseNet:
 @lru_cache(maxsize=4)
 def _policy(task: str, name: str) -> Policy:
     """The policy of a task, loaded once for all flights."""
-    return Policy.load(Path(str(files("falconwing_kit.data") / f"policy_{task}_{name}.safetensors")))
+    return Policy.load(
+        Path(str(files("falconwing_kit.data") / f"policy_{task}_{name}.safetensors"))
+    )
 
 
 def _checked_camera(net: PoseNet, camera: PinholeCamera | None) -> PinholeCamera:

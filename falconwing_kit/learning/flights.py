@@ -9,6 +9,7 @@ every step what it would do [DAgger, Ross, Gordon & Bagnell 2011].
 import multiprocessing
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
@@ -59,9 +60,7 @@ def make_teacher(situation: Situation) -> Pilot:
     model, airframe, delay = situation.known_model, load_airframe(), situation.delay
     autopilot = partial(Autopilot, integrates=False)
     if situation.leader is not None:
-        return FollowExpert(
-            model, airframe, situation.leader, SPEED, delay, TrueState(), autopilot
-        )
+        return FollowExpert(model, airframe, situation.leader, SPEED, delay, TrueState(), autopilot)
     return LandingExpert(model, airframe, LandingPad(), SPEED, delay, TrueState(), autopilot)
 
 
@@ -103,7 +102,8 @@ class TaughtFlight:
 
     def advance(self, command: Array) -> None:
         """Send a command (4,) and fly one step."""
-        sent = Command.clip(*map(float, command))
+        throttle, aileron, elevator, rudder = command.tolist()
+        sent = Command.clip(throttle, aileron, elevator, rudder)
         self._past = np.concatenate([self._past[1:], sent.vector[None]])
         self.world.send(self.world.t, sent)
         if self._judge is not None:
@@ -215,10 +215,8 @@ class Fleet:
     def close(self) -> None:
         """End the workers."""
         for pipe in self._pipes:
-            try:
+            with suppress(OSError):  # it has ended already
                 pipe.send(("close", None))
-            except OSError:  # it has ended already
-                pass
         for process in self._processes:
             process.join(timeout=5.0)
             if process.is_alive():
@@ -307,5 +305,5 @@ def _serve(pipe: Connection) -> None:
             return
         try:
             pipe.send(getattr(squad, verb)(argument))
-        except Exception as error:  # noqa: BLE001  the fleet raises it
+        except Exception as error:
             pipe.send(f"{type(error).__name__}: {error}")

@@ -134,9 +134,7 @@ _WIND = WindTerm(
         Parameter(name, 0.0, -10.0, 10.0, "m/s", "of the wind")
         for name in ("mean_wind_x", "mean_wind_y", "gust_x", "gust_y", "gust_z")
     )
-    + tuple(
-        Parameter(f"gust_phase_{k}", 0.0, -10.0, 10.0, "rad", "of a wave") for k in range(3)
-    ),
+    + tuple(Parameter(f"gust_phase_{k}", 0.0, -10.0, 10.0, "rad", "of a wave") for k in range(3)),
     gusty_wind,
 )
 
@@ -149,9 +147,10 @@ def _draw_model(rng: np.random.Generator, ranges: Ranges) -> Model:
         share = 0.0 if name in KEPT else rng.uniform(-1.0, 1.0) * ranges.coefficients
         values[name] = value * (1.0 + share)
     for moment, control in TRIMMED.items():
-        values[moment] = base.values[moment] * (
-            1.0 + rng.uniform(-1.0, 1.0) * 0.4 * ranges.coefficients
-        ) + values[control] * rng.uniform(-1.0, 1.0) * ranges.trim
+        values[moment] = (
+            base.values[moment] * (1.0 + rng.uniform(-1.0, 1.0) * 0.4 * ranges.coefficients)
+            + values[control] * rng.uniform(-1.0, 1.0) * ranges.trim
+        )
     if ranges.coefficients:
         values["lag"] = rng.uniform(0.02, 0.06)
     speed, direction = rng.uniform(0.0, ranges.wind), rng.uniform(0.0, 2.0 * math.pi)
@@ -204,9 +203,7 @@ def _follow_start(
     return FOLLOW_SPREAD.start(model, behind, int(rng.integers(2**31)), yaw)
 
 
-def draw_delivery(
-    rng: np.random.Generator, steps: int, ranges: Ranges
-) -> tuple[Array, Array]:
+def draw_delivery(rng: np.random.Generator, steps: int, ranges: Ranges) -> tuple[Array, Array]:
     """Which frame is the newest that the pilot has at each step, and which pictures are black.
 
     Half of the flights have every frame at once; the others have it late, or lose some.
