@@ -1,4 +1,4 @@
-"""Imitation: an expert that is told the truth, a scene and a network -> a policy that sees.
+"""Imitation: an expert on the true state, a scene and a network -> a policy that sees.
 
 Rounds: many flights at once, flown at first by the expert and then by the policy itself, while the
 expert says at every step what it would do; then some training on all flights so far

@@ -42,7 +42,7 @@ class Ranges:
     trim: float = 0.08  # moments, in shares of full control
     delay: tuple[float, float] = (0.0, 0.17)  # of the link, low and high [s]
     long_delay: tuple[float, float] = (0.15, 0.23)  # the same, of one flight in five
-    wind: float = 1.2  # most wind [m/s]; it is uniform in 0 to this, of any direction
+    mean_wind: float = 1.2  # most wind [m/s]; it is uniform in 0 to this, of any direction
     gusts: float = 0.4  # most amplitude [m/s], likewise
     mount: tuple[float, float, float] = (0.25, 0.08, 0.12)  # camera in body axes: 0 to x, +-y, +-z
     mount_angle: float = math.radians(3.0)  # about each of its axes [rad]
@@ -64,7 +64,7 @@ class Situation:
     seed: int
     task: str
     model: Model  # that flies, with gusts
-    known_model: Model  # what the teacher knows of it: all but the gusts
+    known_model: Model  # what the teacher is designed on: all but the gusts
     delay: float  # from a command to its arrival at the aircraft [s]
     start: State
     p_body_camera: Array  # (3,) where the pilot believes its camera to be [m]
@@ -153,7 +153,7 @@ def _draw_model(rng: np.random.Generator, ranges: Ranges) -> Model:
         )
     if ranges.coefficients:
         values["lag"] = rng.uniform(0.02, 0.06)
-    speed, direction = rng.uniform(0.0, ranges.wind), rng.uniform(0.0, 2.0 * math.pi)
+    speed, direction = rng.uniform(0.0, ranges.mean_wind), rng.uniform(0.0, 2.0 * math.pi)
     values["mean_wind_x"] = speed * math.cos(direction)
     values["mean_wind_y"] = speed * math.sin(direction)
     return base.with_terms(_WIND).with_values(values)
