@@ -23,6 +23,7 @@ from falconwing_kit.control.expert import FollowExpert, LandingExpert
 from falconwing_kit.control.leader import LeaderPath
 from falconwing_kit.control.successive_loops import SuccessiveAutopilot
 from falconwing_kit.core.checks import InputError, require_shape
+from falconwing_kit.core.files import short_name
 from falconwing_kit.core.messages import Command, Observation
 from falconwing_kit.flight.image_pilot import ImagePilot
 from falconwing_kit.flight.loop import Pilot
@@ -105,7 +106,7 @@ def load_pilot(
     name: str, task: str = "landing", scene: str = "hall", camera: PinholeCamera | None = None,
     p_body_camera_m: ArrayLike | None = None, *, model: Model | None = None,
     airframe: Airframe | None = None, pad: LandingPad | None = None,
-    leader: LeaderPath | None = None,
+    leader: LeaderPath | None = None, weights: str | Path | None = None,
 ) -> ReadyPilot:  # fmt: skip
     """The pilot of a name.
 
@@ -118,6 +119,7 @@ def load_pilot(
         model: that it is designed on; None for the kit's aircraft.
         airframe: wheels and span; None for the kit's aircraft.
         pad: where to land; None for that of the hall.
+        weights: of a policy, such as `falconwing train` writes; None for those that ship.
         leader: the path to follow, for a pilot that follows by the leader's state.
 
     Returns:
@@ -136,6 +138,10 @@ def load_pilot(
             f" got {p_body_camera.tolist()}; check the unit"
         )
     model, airframe, pad = model or rates_model(), airframe or load_airframe(), pad or LandingPad()
+    if weights is not None and name != "student":
+        raise InputError(
+            f"weights: expected none for pilot {name}, got {short_name(weights)}; use student"
+        )
     if name == "manual":
         return ManualPilot(model, airframe, pad)
     if task == "follow":
@@ -149,7 +155,13 @@ def load_pilot(
         net = _pose_net(scene)
         return PosePilot(model, airframe, pad, _checked_camera(net, camera), p_body_camera, net)
     if name == "student":
-        return ImagePilot(_policy(task, name), _require_camera(camera), p_body_camera)
+        policy = _policy(task, name) if weights is None else Policy.load(weights)
+        if policy.record.task != task:
+            raise InputError(
+                f"weights: expected a policy for the task {task}, got one for"
+                f" {policy.record.task}; take its own task"
+            )
+        return ImagePilot(policy, _require_camera(camera), p_body_camera)
     make = partial(LandingExpert, model, airframe, pad)
     if name == "expert_pid":
         make = partial(make, autopilot=SuccessiveAutopilot)

@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from falconwing_kit.core.checks import Array, InputError
-from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.messages import CONTROL_PERIOD_S
 from falconwing_kit.flight.pilots import P_BODY_CAMERA_M
 from falconwing_kit.learning.flight_appearance import FlightAppearance
@@ -145,6 +145,38 @@ class Learner:
         total_loss = loss + (extra * weight).sum() / total
         self._update(total_loss, share)
         return loss.detach()
+
+    def save_state(self, path: Path) -> None:
+        """Write both networks, for an interrupted training."""
+        from safetensors.torch import save
+
+        parts = {"network": self.network, "average": self.average}
+        tensors = {
+            f"{name}.{key}": tensor.contiguous().cpu()
+            for name, network in parts.items()
+            for key, tensor in network.state_dict().items()
+        }
+        with atomic_write(path) as file:
+            file.write(save(tensors, {"shape": json.dumps(asdict(self.shape))}))
+
+    def load_state(self, path: Path) -> None:
+        """Go on with the networks of an interrupted training.
+
+        Raises:
+            InputError: the file is damaged, or of a network of another shape.
+        """
+        from safetensors.torch import load
+
+        try:
+            tensors = load(path.read_bytes())
+            for name, network in (("network", self.network), ("average", self.average)):
+                own = {k.removeprefix(f"{name}."): w for k, w in tensors.items() if name in k[:8]}
+                network.load_state_dict(own)
+        except Exception:  # a damaged file can fail anywhere
+            raise InputError(
+                f"{short_name(path)}: expected an interrupted training of this network, got a"
+                " damaged file or another network; delete it to begin anew"
+            ) from None
 
     def _tensor(self, values: Any) -> Tensor:
         return torch.from_numpy(np.asarray(values, np.float32)).to(self.device)

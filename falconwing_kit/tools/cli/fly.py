@@ -79,6 +79,8 @@ class Fly:
     designed, with its effects: wind, delay, trim bias, camera tilt and so on; the simulated
     aircraft stays the kit's own
     """
+    weights: Path | None = None
+    """weights of train that the pilot student flies by, in place of those that ship"""
     trials: int = 1
     """number of flights, each from its own initial state of the fixed list"""
     manoeuvre: Annotated[str, tyro.conf.arg(help=MANOEUVRE_HELP)] = ""
@@ -359,7 +361,7 @@ def make_pilot(fly: Fly, task: Any, model: "Model | None") -> "Callable[[TrialSe
     pilot = load_pilot(
         fly.pilot, fly.task, _trained_scene(fly._scene), fly._setting().camera,
         task.airframe.p_body_camera, model=model or task.model, airframe=task.airframe,
-        pad=task.pad,
+        pad=task.pad, weights=fly.weights,
     )  # fmt: skip
 
     def make(trial: "TrialSetup") -> "Pilot":
