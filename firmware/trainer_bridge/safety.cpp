@@ -125,7 +125,6 @@ void Safety::engage(uint32_t now_us, bool edge) {
   if (engage_frames_ >= ENGAGE_FRAMES) {
     engage_frames_ = 0;
     state_ = State::ACTIVE;
-    pilot_took_over_ = false;
     has_reference_ = has_pilot_;
     for (uint8_t i = 0; i < CHANNELS; ++i) reference_us_[i] = pilot_us_[i];
   }
@@ -143,6 +142,7 @@ bool Safety::matches() const {
 
 void Safety::disengage(uint32_t now_us) {
   engage_frames_ = 0;
+  pilot_took_over_ = false;
   if (state_ == State::BOOT) return;
   if (state_ == State::FAULT && held_ && now_us - held_since_us_ < SECOND_US) return;
   state_ = State::SAFE;

@@ -63,7 +63,7 @@ class Safety {
   bool silent() const { return silent_; }
   // A pilot's frame was measured in the last PILOT_FRESH_MS.
   bool has_pilot() const { return has_pilot_; }
-  // The pilot's stick ended the last engagement.
+  // A stick of the pilot ended the engagement, and no command without engage has come since.
   bool pilot_took_over() const { return pilot_took_over_; }
 
   State state() const { return state_; }
