@@ -13,9 +13,12 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log, recover
+from falconwing_kit.core.messages import Observation
+from falconwing_kit.flight.loop import HISTORY
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.tools.bridge.simulated_board import BoardOnPty, SimulatedBoard
 from falconwing_kit.trainer_port.port import TrainerPort
@@ -96,6 +99,10 @@ def test_a_killed_host_leaves_a_safe_board_and_a_log(line, tmp_path):
     ) as host:
         try:
             tell(host, world)
+            first = LandingTask().expert(LandingTask().trial(trial_seed(0)))
+            sticks = first.act(Observation(0.0, None, np.zeros((HISTORY, 4)), world.measured()))
+            with line.pause() as board:  # the SIMULATED pilot, who flies until the host does
+                board.set_pilot(load_calibration().channels_us(sticks))
             while host.stdout.readline().strip() != "engaged":
                 assert host.poll() is None
                 tell(host, world)
