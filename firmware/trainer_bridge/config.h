@@ -94,6 +94,18 @@
 
 constexpr uint16_t SAFE_US[8] = {SAFE_SLOTS_US};
 
+// The safe slot of a channel, as numbers in the code: the chip keeps a table in its memory, where a bit may flip.
+inline uint16_t safe_us(uint8_t channel) {
+  return channel == 0   ? SAFE_US[0]
+         : channel == 1 ? SAFE_US[1]
+         : channel == 2 ? SAFE_US[2]
+         : channel == 3 ? SAFE_US[3]
+         : channel == 4 ? SAFE_US[4]
+         : channel == 5 ? SAFE_US[5]
+         : channel == 6 ? SAFE_US[6]
+                        : SAFE_US[7];
+}
+
 // ---- combinations that cannot work do not compile ----
 constexpr int32_t SHORTEST_SYNC_US = int32_t(FRAME_US) - int32_t(CHANNELS) * CHANNEL_MAX_US;
 constexpr int32_t LONGEST_SYNC_US = int32_t(FRAME_US) - int32_t(CHANNELS) * CHANNEL_MIN_US;

@@ -44,7 +44,7 @@ void Safety::restart(uint32_t now_us, Fault fault) {
   last_engage_ = true;  // so the first command is no edge
   held_ = fault != Fault::NONE;
   held_since_us_ = now_us;
-  for (uint8_t i = 0; i < CHANNELS; ++i) slots_us_[i] = SAFE_US[i];
+  for (uint8_t i = 0; i < CHANNELS; ++i) slots_us_[i] = safe_us(i);
 }
 
 uint8_t Safety::exclusive_or() const {
@@ -136,7 +136,7 @@ void Safety::engage(uint32_t now_us, bool edge) {
 bool Safety::matches() const {
   if (ENGAGE_WITHOUT_PILOT && !has_pilot_) return true;
   for (uint8_t i = 0; i < CHANNELS; ++i) {
-    const uint16_t now_us = has_pilot_ ? pilot_us_[i] : SAFE_US[i];
+    const uint16_t now_us = has_pilot_ ? pilot_us_[i] : safe_us(i);
     const uint16_t most_us = !has_pilot_ && i == THROTTLE_CHANNEL ? ENGAGE_IDLE_US : ENGAGE_NEAR_US;
     if (distance(target_us_[i], now_us) > most_us) return false;
   }
@@ -193,7 +193,7 @@ void Safety::forget_old(uint32_t now_us) {
 void Safety::move_slots() {
   for (uint8_t i = 0; i < CHANNELS; ++i) {
     if (state_ != State::ACTIVE) {
-      slots_us_[i] = SAFE_US[i];  // without a slew limit
+      slots_us_[i] = safe_us(i);  // without a slew limit
       continue;
     }
     const int16_t way_us = int16_t(limited(i, target_us_[i]) - slots_us_[i]);

@@ -190,6 +190,7 @@ void hold_registers() {
 // An interrupt that nobody has enabled: only a reset sets the registers of the whole chip right.
 ISR(BADISR_vect) {
   wdt_enable(WDTO_15MS);
+  wdt_reset();  // simavr 1.6 takes the new time from here on
   for (;;) {
   }
 }
@@ -283,6 +284,7 @@ void tell_host() {
 void nap() {
   cli();
   if (!Serial.available() && !Serial1.available()) {
+    set_sleep_mode(SLEEP_MODE_IDLE);  // each time: a disturbed register could stop the timers
     sleep_enable();
     sei();
     sleep_cpu();
@@ -300,7 +302,6 @@ void setup() {
   pinMode(SPEKTRUM_PIN, INPUT_PULLUP);
   begin_ppm_out();
   if (BUZZER_PIN != 0) pinMode(BUZZER_PIN, OUTPUT);
-  set_sleep_mode(SLEEP_MODE_IDLE);
   wdt_enable(WDTO_250MS);
 }
 
