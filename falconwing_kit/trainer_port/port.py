@@ -244,7 +244,9 @@ class TrainerPort:
         # In SAFE the board's channels are idle and neutral.
         sticks = pilot.channels_us if has_pilot and pilot else status.channels_us
         if len(sticks) < len(self._channels_us):
-            return f"the pilot's radio has {len(sticks)} channels, {len(self._channels_us)} are sent"
+            return (
+                f"the pilot's radio has {len(sticks)} channels, {len(self._channels_us)} are sent"
+            )
         reference = "the pilot's stick" if has_pilot else "without a pilot's signal"
         problems = []
         for name, stick in zip(COMMAND_NAMES, self.calibration.sticks, strict=True):
