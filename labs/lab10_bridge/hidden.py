@@ -199,7 +199,7 @@ def _trace(rng: np.random.Generator, config: SafetyConfig) -> list[Inputs]:
             by_us = float(rng.choice([60.0, 120.0, 121.0, 300.0]))
             moved[channel] += by_us if moved[channel] < 1500.0 else -by_us
             pilot = tuple(moved)
-            steps += [(dt, near(), engage, pilot)] + ask(n, dt)
+            steps += [(dt, near(), engage, pilot), *ask(n, dt)]
         elif what == 4:  # another pilot's signal, or none
             pilot = None if rng.random() < 0.4 else tuple(map(float, rng.integers(1200, 1800, 4)))
             steps += [(dt, near(), False, pilot)] * int(rng.integers(2)) + ask(n, dt)

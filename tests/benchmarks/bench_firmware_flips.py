@@ -1,4 +1,4 @@
-"""Ten thousand single bits of the simulated chip turned over -> the issue's bounds, and the figures.
+"""Ten thousand flipped bits of the simulated chip -> the issue's bounds, and the figures.
 
 `python -m pytest -m benchmark -s tests/benchmarks/bench_firmware_flips.py`: six CPU minutes.
 """

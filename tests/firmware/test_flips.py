@@ -4,6 +4,7 @@ each guard by itself.
 
 import re
 import subprocess
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -84,15 +85,16 @@ def test_a_disturbed_register_is_set_again_by_the_next_pass_of_loop(bench, regis
 
 
 def test_sleep_is_idle_sleep_again_at_the_next_nap(bench):
-    """Power-down would stop the timers; the simulator does not model it, so the register is read."""
+    """Power-down would stop the timers; the simulator has no such mode: the register is read."""
     bench.board.flip(SMCR, 2)
     bench.wait(0.002)
     assert bench.board.peek(SMCR) & 0x0E == 0
 
 
 def test_an_interrupt_that_nobody_enabled_restarts_the_board_at_once(bench):
-    """Overflow of Timer3, which the Arduino core leaves running: a jump to address 0 without a reset
-    would meet the same interrupt again. By the overflow's 4 ms, the watchdog's 16, twice a frame's 22, and a start.
+    """Overflow of Timer3, which the Arduino core leaves running: a jump to address 0 without a
+    reset would meet the same interrupt again. By the overflow's 4 ms, the watchdog's 16, twice a
+    frame's 22, and a start.
     """
     take_falls(bench.board)
     start = bench.board.t
@@ -105,8 +107,8 @@ def test_an_interrupt_that_nobody_enabled_restarts_the_board_at_once(bench):
 
 
 def test_the_watchdog_ends_a_dead_pulse_interrupt(bench):
-    """loop() runs on, without pulses: the board restarts 250 ms (256 here) after the last frame, and
-    is in FAULT; a host that asks on gets nothing.
+    """loop() runs on, without pulses: the board restarts 250 ms (256 here) after the last frame,
+    and is in FAULT; a host that asks on gets nothing.
     """
     bench.engage()
     bench.board.stop_pulses()
@@ -178,7 +180,7 @@ def test_lost_sounds_the_buzzer_and_nothing_else_does():
         for _ in range(round(100 * seconds)):
             bench.wait(0.01)
             levels.append(bench.board.peek(port_h) >> 5 & 1)
-        return sum(b > a for a, b in zip(levels, levels[1:], strict=False)), sum(levels)
+        return sum(b > a for a, b in pairwise(levels)), sum(levels)
 
     with ProbedBoard(build_firmware(["BUZZER_PIN=8"])) as board:
         bench = Bench(board)
@@ -194,9 +196,9 @@ def test_lost_sounds_the_buzzer_and_nothing_else_does():
 
 
 def test_a_pilots_stick_is_safe_in_the_frame_after_its_measurement(bench):
-    """The stick moves at 23 phases of the frames. A frame of the radio is measured when the next one
-    begins (PILOT is stamped with its last edge, 6 ms after its first); the next frame of the board,
-    within 22 ms, is safe, and so are all later ones.
+    """The stick moves at 23 phases of the frames. A frame of the radio is measured when the next
+    one begins (PILOT is stamped with its last edge, 6 ms after its first); the next frame of the
+    board, within 22 ms, is safe, and so are all later ones.
     """
     waits, sticks = [], []
     for k in range(23):

@@ -38,7 +38,7 @@ class Host:
         return self.safety.tick(self.now, pilot)
 
     def ask(self, channels=FLY, pilot=None):
-        """The shortest way from SAFE to ACTIVE, with a frame of the pilot every 22 ms; the state."""
+        """The shortest way from SAFE to ACTIVE, with the pilot measured all the time; the state."""
         for flag in (False, True, True, True, True, True):
             for _ in range(2 if pilot else 0):
                 self.tick(22.0, pilot)
@@ -592,8 +592,8 @@ class Sent(NamedTuple):
 
 
 def random_trace(rng, config, frames=120):
-    """A hostile host: (time, sequence, engage, channels) in random moods; the pilot's sticks or None
-    for the ticks in between.
+    """A hostile host: (time, sequence, engage, channels) in random moods; the pilot's sticks or
+    None for the ticks in between.
     """
     now = int(rng.integers(CLOCK)) if rng.random() < 0.5 else CLOCK - int(rng.integers(20_000_000))
     start, next_tick, sequence, engage = (

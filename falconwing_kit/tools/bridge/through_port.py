@@ -26,9 +26,9 @@ class PortWorld:
     The board is engaged before the flight: it follows the first command when the flight's time
     begins. A board engages only near the pilot's sticks, so a SIMULATED pilot at the radio holds
     them where the first command is, and the board measures them; they stay there during the flight,
-    for a stick that moves takes the aircraft from the computer. The radio acts on a frame when its last channel is complete, and holds the last frame if
-    the pulses stop. The port's mean delay of 19 ms (16 bytes 1.4, half a frame 11, four channels 6)
-    is added to the world's own.
+    for a stick that moves takes the aircraft from the computer. The radio acts on a frame when its
+    last channel is complete, and holds the last frame if the pulses stop. The port's mean delay of
+    19 ms (16 bytes 1.4, half a frame 11, four channels 6) is added to the world's own.
     """
 
     def __init__(

@@ -34,8 +34,8 @@ FLASH_BUDGET, RAM_BUDGET = 16 * 1024, 2 * 1024
 SAFE_US, FLOWN_US = (1000, 1500, 1500, 1500), (1300, 1600, 1450, 1700)
 PERIOD = 0.05  # s between commands
 COMMAND_MS, LOSS_MS = 30, 225  # maximum delay command -> pin, last command -> safe pin
-# Maximum delay from a stick of the pilot to the safe pin: the radio's frame that is on the wire, the
-# one that carries the stick, and a frame of the board.
+# Maximum delay from a stick of the pilot to the safe pin: the radio's frame that is on the wire,
+# the one that carries the stick, and a frame of the board.
 TAKE_OVER_MS = 66
 
 

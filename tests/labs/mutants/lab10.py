@@ -99,10 +99,12 @@ MUTANTS = {
         (
             "only fast movements",
             'if new["pilot_us"] is None:\n            new["pilot_us"] = pilot_us\n'
-            '        if max(abs(a - b) for a, b in zip(pilot_us, new["pilot_us"], strict=True)) > MOVED_US:\n'
+            "        if max(abs(a - b) for a, b in "
+            'zip(pilot_us, new["pilot_us"], strict=True)) > MOVED_US:\n'
             '            new["state"] = "SAFE"',
             'if new["pilot_us"] is None:\n            new["pilot_us"] = pilot_us\n'
-            '        if max(abs(a - b) for a, b in zip(pilot_us, new["pilot_us"], strict=True)) > MOVED_US:\n'
+            "        if max(abs(a - b) for a, b in "
+            'zip(pilot_us, new["pilot_us"], strict=True)) > MOVED_US:\n'
             '            new["state"] = "SAFE"\n        new["pilot_us"] = pilot_us',
         ),
         (
@@ -118,7 +120,8 @@ MUTANTS = {
         (
             "engage off is obeyed without a command",
             "    if command_us is None:\n        return new\n    if not engage:",
-            '    if not engage:\n        new["state"], new["good"] = "SAFE", 0\n    if command_us is None:\n'
+            '    if not engage:\n        new["state"], new["good"] = "SAFE", 0\n'
+            "    if command_us is None:\n"
             "        return new\n    if not engage:",
         ),
         (

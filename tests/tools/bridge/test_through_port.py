@@ -128,9 +128,9 @@ def test_order_and_reversal_are_undone_by_the_same_calibration():
 
 
 def test_the_pilots_sticks_are_measured_and_end_the_flight_when_they_move(board):
-    """The board engages near the SIMULATED pilot's sticks; rudder moved by 0.25 of its half, 125 us,
-    is a take-over: idle and neutral within the radio's two frames and one of the board, 66 ms, and
-    the 8 ms until four slots are out.
+    """The board engages near the SIMULATED pilot's sticks; rudder moved by 0.25 of its half, 125
+    us, is a take-over: idle and neutral within the radio's two frames and one of the board, 66 ms,
+    and the 8 ms until four slots are out.
     """
     world, events = RecordingWorld(), []
     with PortWorld(world, board, on_event=lambda *event: events.append(event)) as port_world:
