@@ -117,8 +117,8 @@ static_assert(CHANNELS >= 4 && CHANNELS <= 8, "CHANNELS: 4 to 8 slots");
 static_assert(SHORTEST_SYNC_US >= 4000, "the pause is under 4 ms: reduce CHANNELS or increase FRAME_US");
 static_assert(LONGEST_SYNC_US <= 19000, "the pause is over 19 ms: reduce FRAME_US");
 static_assert(FRAME_US <= 32000, "FRAME_US: the 16 bit timer counts to 32.7 ms");
-static_assert(GAP_PULSE_US >= 200 && GAP_PULSE_US + 200 <= CHANNEL_MIN_US,
-              "GAP_PULSE_US: the interrupt needs 200 us between two edges");
+static_assert(GAP_PULSE_US >= 250 && GAP_PULSE_US + 250 <= CHANNEL_MIN_US,
+              "GAP_PULSE_US: the interrupt needs 250 us between two edges");
 static_assert(VALID_MIN_US <= CHANNEL_MIN_US && CHANNEL_MIN_US < CHANNEL_MAX_US && CHANNEL_MAX_US <= VALID_MAX_US,
               "expected VALID_MIN_US <= CHANNEL_MIN_US < CHANNEL_MAX_US <= VALID_MAX_US");
 static_assert(safe_from(0), "SAFE_SLOTS_US: each slot between CHANNEL_MIN_US and CHANNEL_MAX_US");

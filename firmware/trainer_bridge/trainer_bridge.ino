@@ -106,7 +106,7 @@ void watch_loop() {
 }
 
 // An edge has just been made. The next is at least GAP_PULSE_US away, which is sufficient: with eight channels and a
-// full serial line this begins at most 31 us late (atomic blocks, other interrupts) and takes at most 43 us (measured
+// full serial line this begins at most 60 us late (atomic blocks, other interrupts) and takes at most 120 us (measured
 // in the simulated chip).
 ISR(TIMER1_COMPA_vect) {
   if (ppm_out.at_frame_start()) {
