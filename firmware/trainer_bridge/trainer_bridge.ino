@@ -142,7 +142,7 @@ ISR(TIMER4_CAPT_vect) {
   pilot_ready = pilot_ppm_ready = true;
 }
 
-// A channel's movement ends up in the next tick wherever it was measured.
+// The newest frame of either source goes to the next tick, which compares the sticks.
 void take_spektrum(uint8_t byte) {
   if (!pilot_spektrum.byte(byte, micros(), CHANNELS)) return;
   pilot_spektrum_ready = true;
