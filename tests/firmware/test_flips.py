@@ -204,19 +204,21 @@ def test_lost_sounds_the_buzzer_and_nothing_else_does():
 
 
 def test_a_pilots_stick_is_safe_in_the_frame_after_its_measurement(bench):
-    """The stick moves at 23 phases of the frames. A frame of the radio is measured when the next
-    one begins (PILOT is stamped with its last edge, 6 ms after its first); the next frame of the
-    board, within 22 ms, is safe, and so are all later ones.
+    """At 23 phases of the radio's frames against the board's. A frame of the radio is measured when
+    the next one begins (PILOT is stamped with its last edge, 6 ms after its first); the next frame
+    of the board, within 22 ms, is safe, and so are all later ones.
     """
     waits, sticks = [], []
     for k in range(23):
+        bench.board.set_pilot(None)
+        bench.wait(0.044 + 0.022 - (bench.board.t % 0.022) + 0.001 * k)  # the radio begins anew
         bench.board.set_pilot(FLOWN)
         bench.wait(0.3)
         bench.fly(1, FLOWN, engage=False)
         bench.fly(6, FLOWN)
         assert bench.status().state == "ACTIVE"
         bench.send(FLOWN)
-        bench.wait(0.001 * k)
+        bench.wait(0.0037 * (k % 6))
         bench.board.ppm_frames()
         bench.messages.clear()
         moved = (*FLOWN[:3], FLOWN[3] - 130)
