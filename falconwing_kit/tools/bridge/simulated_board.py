@@ -139,7 +139,7 @@ class SimulatedBoard:
         Raises:
             InputError: the program's symbol table has no loop().
         """
-        if self._sim.sim_hang(self._handle):
+        if self._sim.sim_stop(self._handle, 0):
             raise InputError(
                 f"{self._elf.name}: expected a program with a function loop(), "
                 "its symbol table has none"
@@ -309,7 +309,9 @@ def _library() -> ctypes.CDLL:
         "sim_receive": (size, [board, ctypes.c_char_p, size]),
         "sim_drive_pilot": (None, [board, at, levels, size]),
         "sim_take_edges": (size, [board, at, levels, size]),
-        "sim_hang": (ctypes.c_int, [board]),
+        "sim_stop": (ctypes.c_int, [board, ctypes.c_int]),
+        "sim_peek": (ctypes.c_int, [board, ctypes.c_uint16]),
+        "sim_flip": (None, [board, ctypes.c_uint16, ctypes.c_uint8]),
         "sim_reset": (None, [board]),
     }
     for name, (result, arguments) in functions.items():

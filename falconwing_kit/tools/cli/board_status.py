@@ -91,8 +91,12 @@ def status_text(port: TrainerPort) -> str:
     fault = "" if status.fault == "none" else f" {status.fault}"
     channels = " ".join(map(str, status.channels_us))
     sticks = " ".join(f"{position:+.2f}" for position in pilot_sticks(port)) or "none"
+    taken = " TAKEN by the pilot" if status.pilot_took_over else ""
+    blind = " ENGAGES WITHOUT PILOT" if status.engages_without_pilot else ""
+    waits = port.mismatch() if port.engagement in ("asking", "engaging") else ""
+    waits = f"  not engaged: {waits}" if waits else ""
     return (
-        f"{status.state}{fault}  {channels} us  pilot {sticks}  "
+        f"{status.state}{fault}{taken}{blind}  {channels} us{waits}  pilot {sticks}  "
         f"boots {status.boot_count}  frames {status.ppm_frames}  "
         f"round trip {1e3 * port.clock.round_trip:.1f} ms  "
         f"sent {counters.sent} dropped {counters.dropped} bad {counters.bad + status.bad_frames}"
@@ -122,6 +126,8 @@ def port_record(port: TrainerPort) -> dict[str, Any]:
     record |= {"reset_causes": list(status.reset_causes), "channels_us": list(status.channels_us)}
     for name in ("bad_frames", "bad_sequence", "out_of_range", "ppm_frames"):
         record[f"board_{name}"] = getattr(status, name)
+    for name in ("engages_without_pilot", "has_pilot", "pilot_took_over"):
+        record[name] = getattr(status, name)
     record["status_age_ms"] = 1e3 * port.status_age
     record["round_trip_ms"] = 1e3 * port.clock.round_trip
     record["clock_error_ms"] = 1e3 * port.clock.error_bound(status.device_time_us)

@@ -51,7 +51,8 @@ class Bench:
 
     def engage(self):
         for flag in (False, *[True] * 5):
-            self.send(flag)
+            self.send(flag, SAFE)  # no pilot is measured
+        self.send(True)
         self.run(0.051)
         assert self.status.state == "ACTIVE"
         return self

@@ -2,6 +2,7 @@
 are simulated.
 """
 
+import dataclasses
 import json
 import os
 import signal
@@ -19,7 +20,12 @@ from falconwing_kit.core.messages import Command
 from falconwing_kit.tools.bridge.bus import COMMAND, StampedCommand
 from falconwing_kit.tools.bridge.open_port import open_port
 from falconwing_kit.tools.bridge.ros import RosBus
-from falconwing_kit.tools.cli.board_status import StatusLine, pilot_sticks, status_text
+from falconwing_kit.tools.cli.board_status import (
+    StatusLine,
+    pilot_sticks,
+    port_record,
+    status_text,
+)
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.trainer_port import usb
 
@@ -243,6 +249,25 @@ def test_the_live_line_says_state_delay_and_sticks():
         assert "pilot none" in status_text(port)  # half a second after the radio's last frame
 
 
+def test_the_live_line_says_why_the_board_does_not_engage_and_what_status_shows():
+    """Cruise throttle without a pilot's signal; then the compile switch, and a take-over."""
+    with open_port("sim-python") as port:
+        port.wait_ready()
+        end = time.monotonic() + 20.0
+        while port.engagement != "engaging" and time.monotonic() < end:
+            port.send(Command(0.5, 0.0, 0.0, 0.0), engage=True)
+            time.sleep(0.02)
+            port.poll()
+        expected = "not engaged: throttle 1500 us, without a pilot's signal 1000 +- 20 us"
+        assert expected in status_text(port)
+        assert not port_record(port)["engages_without_pilot"]
+        port.status = dataclasses.replace(
+            port.status, engages_without_pilot=True, pilot_took_over=True
+        )
+        assert status_text(port).startswith("SAFE TAKEN by the pilot ENGAGES WITHOUT PILOT")
+        assert port_record(port)["engages_without_pilot"]
+
+
 def test_the_live_line_fits_the_terminal(monkeypatch, capsys):
     """One that wraps would leave its first half behind, four times a second; 60 columns, one of
     them for the cursor.
@@ -271,7 +296,7 @@ def publishing_on_ros():
     def publish():
         while not stop.wait(0.05):
             bus.publish(
-                COMMAND, StampedCommand(time.time(), Command(0.5, 0.1, 0.0, 0.0), engage=True)
+                COMMAND, StampedCommand(time.time(), Command(0.0, 0.1, 0.0, 0.0), engage=True)
             )
 
     publisher = threading.Thread(target=publish)
