@@ -25,11 +25,9 @@ from falconwing_kit.flight.loop import LoopStep
 from falconwing_kit.flight.sources import RenderedView
 from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene.camera import PinholeCamera
-
-Depth = NDArray[np.float32]
+from falconwing_kit.scene.masks import MASK_THRESHOLD
 
 LOCK_AREA_PX = 6  # visible pixels of the leader that a lock requires
-OCCLUSION_MARGIN = 0.5  # [m]; only what is nearer than the leader by more than this hides it
 MAX_PATH_STEP = 3.0  # along the path between two frames, at most [m]
 LEAD_IN = 20.0  # straight extension of the leader's path before its start, for the follower [m]
 
@@ -95,13 +93,19 @@ class FollowEvaluator:
     def watch(self, step: LoopStep) -> str:
         """Record positions and lock; the reason is the first contact."""
         follower, leader = self.world.state, self.leader.state_at(self.world.t)
-        T_world_camera = camera_pose(follower.pose.T_world_body, self.airframe.p_body_camera)
-        depth = None if self.view is None else self.view.depth
         self._t.append(step.t)
-        self._locked.append(is_locked(self.camera, T_world_camera, leader, self.airframe, depth))
+        self._locked.append(self._sees(follower, leader))
         self._leader.append(leader)
         self._follower.append(follower.p_world)
         return _contact_reason(self.world)
+
+    def _sees(self, follower: State, leader: State) -> bool:
+        """Whether the leader is locked now: by its image, or where there is none by its outline."""
+        if self.view is None:
+            T_world_camera = camera_pose(follower.pose.T_world_body, self.airframe.p_body_camera)
+            return is_locked(self.camera, T_world_camera, leader, self.airframe)
+        T_world_camera, share = self.view.T_world_camera, self.view.leader_share()
+        return is_locked(self.camera, T_world_camera, leader, self.airframe, share)
 
     @property
     def locked(self) -> NDArray[np.bool_]:
@@ -127,28 +131,34 @@ class FollowEvaluator:
 
 def is_locked(
     camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe,
-    depth: Depth | None = None,
+    share: NDArray[np.float32] | None = None,
 ) -> bool:  # fmt: skip
     """Whether the leader's centre of gravity is inside the image and six of its pixels are visible.
+
+    Visible are pixels of which the leader makes up at least half. A wing seen edge-on is thinner
+    than a pixel and makes up half of none, although the outline from its tips to the wheels has an
+    area. Without an image the pixels of that outline count, and nothing hides it.
 
     Args:
         camera: the lens.
         T_world_camera: (4, 4) its pose.
         leader: the leader's state.
         airframe: the leader's dimensions.
-        depth: (H, W) of the image with the leader in it [m]; None where nothing can hide it.
+        share: of each pixel that shows the leader, as of `RenderedView.leader_share`; None without
+            an image.
     """
     (uv,), (centre_depth,) = camera.project(leader.p_world[None], T_world_camera)
     if not (centre_depth > 0.0 and 0.0 <= uv[0] < camera.width and 0.0 <= uv[1] < camera.height):
         return False
-    return visible_pixels(camera, T_world_camera, leader, airframe, depth) >= LOCK_AREA_PX
+    if share is not None:
+        return int((share >= MASK_THRESHOLD).sum()) >= LOCK_AREA_PX
+    return outline_pixels(camera, T_world_camera, leader, airframe) >= LOCK_AREA_PX
 
 
-def visible_pixels(
-    camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe,
-    depth: Depth | None = None,
-) -> int:  # fmt: skip
-    """Number of pixels whose centre lies inside the outline of the leader and is not occluded.
+def outline_pixels(
+    camera: PinholeCamera, T_world_camera: Array, leader: State, airframe: Airframe
+) -> int:
+    """Number of pixels whose centre lies inside the outline of the leader.
 
     Arguments as for `is_locked`. 0 where a corner of the outline is behind the camera.
     """
@@ -160,13 +170,7 @@ def visible_pixels(
     size = np.array([camera.width, camera.height])
     low, high = np.clip([np.floor(uv.min(axis=0)), np.ceil(uv.max(axis=0))], 0, size).astype(int)
     columns, rows = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
-    visible = is_in_hull(np.stack([columns, rows], axis=-1) + 0.5, uv)
-    if depth is not None:
-        # Hidden where the scene is nearer than the leader's nearest corner; depth 0 is empty.
-        scene_depth = depth[low[1] : high[1], low[0] : high[0]]
-        nearest_depth = leader_corner_depth.min() - OCCLUSION_MARGIN
-        visible &= (scene_depth <= 0.0) | (scene_depth > nearest_depth)
-    return int(visible.sum())
+    return int(is_in_hull(np.stack([columns, rows], axis=-1) + 0.5, uv).sum())
 
 
 def outline_body(airframe: Airframe) -> Array:

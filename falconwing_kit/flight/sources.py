@@ -1,6 +1,7 @@
 """Sources: a simulated world or a flight log -> images and states for the loop; a log's pilot."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -10,16 +11,19 @@ from numpy.typing import ArrayLike, NDArray
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.files import short_name
 from falconwing_kit.core.flight_log import FlightLog, read_flight_log
-from falconwing_kit.core.frames import camera_pose
+from falconwing_kit.core.frames import camera_pose, pose_matrix
 from falconwing_kit.core.messages import CONTROL_PERIOD_S, Command, Image, Observation, State
 from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.scene.masks import paint_grey
 from falconwing_kit.scene.render import render
 from falconwing_kit.vision.images import decode_image
 
 FOCAL_LENGTH_WIDTHS = 0.62  # of the FPV lens, in image widths: 78 deg field of view
 IMAGE_SIZE = (320, 240)  # of the FPV image [px]
+NEAREST = 0.1  # of a leader whose image has edges [m]
+CROP_MARGIN_PX = 4  # around its Gaussians' centres
 TIME_ROUNDING = 1e-6  # largest rounding error of a time in a log [s]
 
 
@@ -75,6 +79,7 @@ class RenderedView:
         backend: of `render`.
         link: the analog video link that every image goes through, `scene_link("hall_analog")`; both
             fields of a frame show the same moment. None for a direct view.
+        R_body_mount: (3, 3) a mount that is off; None for a camera along the nose.
     """
 
     def __init__(
@@ -85,11 +90,15 @@ class RenderedView:
         p_body_camera: ArrayLike = (0.0, 0.0, 0.0),
         backend: str = "fast",
         link: AnalogVideo | None = None,
+        R_body_mount: ArrayLike | None = None,
     ) -> None:
         self.world, self.camera, self.backend, self.link = world, camera, backend, link
-        self.p_body_camera = np.asarray(p_body_camera, np.float64)
-        self.depth: NDArray[np.float32] | None = None  # (H, W) of the newest image [m]
+        R = np.eye(3) if R_body_mount is None else np.asarray(R_body_mount, np.float64)
+        self._T_body_mount = pose_matrix(R, np.asarray(p_body_camera, np.float64))
         self._hall, self._leader = _hall_and_leader(scene, world.leader_state is not None)
+        self._black_and_white = None
+        if self._leader is not None:
+            self._black_and_white = paint_grey(self._hall, 0.0), paint_grey(self._leader, 1.0)
         self._sequence = 0
         self.look()  # compiles the renderer, so the first step does not have to wait
 
@@ -99,18 +108,49 @@ class RenderedView:
         self._sequence += 1
         return Image(self._sequence - 1, t, self.look())
 
+    @property
+    def T_world_camera(self) -> Array:
+        """(4, 4) where the camera is now."""
+        return camera_pose(self.world.state.pose.T_world_body @ self._T_body_mount)
+
     def look(self) -> NDArray[np.uint8]:
         """Render the present view, (H, W, 3) uint8 RGB."""
-        leader, scenes = self.world.leader_state, [self._hall]
-        if leader is not None and self._leader is not None:
-            from falconwing_kit.scene.arena import leader_at
-
-            scenes.append(leader_at(self._leader, leader.pose.T_world_body))
-        T_world_camera = camera_pose(self.world.state.pose.T_world_body, self.p_body_camera)
-        frame = render(scenes, self.camera, T_world_camera, backend=self.backend)
-        self.depth = frame.depth
+        scenes = [self._hall] if self._leader is None else [self._hall, self._place(self._leader)]
+        frame = render(scenes, self.camera, self.T_world_camera, backend=self.backend)
         pixels = np.asarray(255.0 * frame.rgb + 0.5, np.uint8)
         return pixels if self.link is None else self.link.apply(pixels, self._sequence)
+
+    def leader_share(self) -> NDArray[np.float32] | None:
+        """Share (h, w) of each pixel, 0..1, that shows the leader; None where there is none.
+
+        Only the part of the image around the leader is drawn, of size zero where that is outside. A
+        white leader in a black hall: what hides it takes its share, and what is narrower than a
+        pixel is dimmed, not widened as in the image itself.
+        """
+        if self._black_and_white is None:
+            return None
+        hall, leader = self._black_and_white[0], self._place(self._black_and_white[1])
+        camera = self.camera
+        uv, depths = camera.project(leader.means, self.T_world_camera)
+        if (depths > NEAREST).all():  # else some of it is beside or behind the camera
+            size = (camera.width, camera.height)
+            left, top = np.clip(np.floor(uv.min(axis=0)) - CROP_MARGIN_PX, 0, size).astype(int)
+            right, bottom = np.clip(np.ceil(uv.max(axis=0)) + CROP_MARGIN_PX, 0, size).astype(int)
+            if right == left or bottom == top:
+                return np.zeros((0, 0), np.float32)
+            camera = replace(
+                camera, cx=camera.cx - left, cy=camera.cy - top, width=right - left,
+                height=bottom - top,
+            )  # fmt: skip
+        frame = render([hall, leader], camera, self.T_world_camera, self.backend, antialiased=True)
+        return frame.rgb[..., 0]
+
+    def _place(self, leader: GaussianScene) -> GaussianScene:
+        """A leader in its body axes at its present pose."""
+        from falconwing_kit.scene.arena import leader_at
+
+        state = self.world.leader_state
+        return leader if state is None else leader_at(leader, state.pose.T_world_body)
 
 
 def _hall_and_leader(

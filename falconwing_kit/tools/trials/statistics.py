@@ -34,6 +34,28 @@ def clopper_pearson_interval(
     return float(interval.low), float(interval.high)
 
 
+def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Score interval of a success rate, 0..1; narrower than the exact one, right on average.
+
+    (p + z^2/2n +- z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n)   [Wilson 1927]
+
+    Args:
+        successes: k, 0 to n; p = k / n.
+        trials: n, at least 1.
+        confidence: mean probability that such an interval contains the true rate.
+
+    Raises:
+        InputError: the counts do not fit, or the confidence is not between 0 and 1.
+    """
+    from scipy.stats import binomtest
+
+    n = _require_count("trials", trials, low=1)
+    k = _require_count("successes", successes, high=n)
+    level = require_range("confidence", confidence, low=0.01, high=0.9999)
+    interval = binomtest(k, n).proportion_ci(level, "wilson")
+    return float(interval.low), float(interval.high)
+
+
 def bootstrap_mean_interval(
     values: ArrayLike, confidence: float = 0.95, seed: int = 0
 ) -> tuple[float, float]:

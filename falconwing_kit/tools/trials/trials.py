@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.control.loops import LINK_DELAY_S
-from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.flight.loop import (
@@ -29,6 +29,7 @@ from falconwing_kit.flight.loop import (
     PacedClock,
     Pilot,
     SimulatedClock,
+    StepSupervisor,
 )
 from falconwing_kit.flight.metadata import flight_metadata
 from falconwing_kit.flight.sources import MeasuredStates, RenderedView, fpv_camera
@@ -86,6 +87,9 @@ class TrialSettings:
     # source of images and trial's seed -> the source that the pilot gets, such as a late one
     degrade: Callable[[ImageSource, int], ImageSource] | None = None
     scene_name: str = ""  # of the hall flown in, for the log: a name that ships, or a file
+    R_body_mount: Array | None = None  # (3, 3) of a camera whose mount is off
+    # whether the pilot flies by images -> a supervisor; None: one that acts where there is a port
+    supervisor: Callable[[bool], StepSupervisor] | None = None
 
     @property
     def record(self) -> Record:
@@ -144,8 +148,9 @@ def fly_trial(
         if setting.scene is not None:
             link = None if setting.link is None else replace(setting.link, seed=trial.seed)
             view = RenderedView(
-                world, setting.scene, setting.camera, task.airframe.p_body_camera, link=link
-            )
+                world, setting.scene, setting.camera, task.airframe.p_body_camera, link=link,
+                R_body_mount=setting.R_body_mount,
+            )  # fmt: skip
         judge = task.judge(trial, setting.camera, view)
         # A pilot that flies by images gets none, so that none of its success can be due to one.
         states = MeasuredStates(world) if getattr(pilot, "reads_state", True) else None
@@ -158,7 +163,11 @@ def fly_trial(
                 " scene"
             )
         # Through a board it is the path of a real flight, which is never without a supervisor.
-        supervisor = Supervisor(by_images=states is None) if setting.port else None
+        supervisor: StepSupervisor | None = None
+        if setting.supervisor is not None:
+            supervisor = setting.supervisor(states is None)
+        elif setting.port:
+            supervisor = Supervisor(by_images=states is None)
         loop = Loop(
             pilot, world, images, states, trial.leader, setting.clock(), writer, setting.hooks,
             supervisor,
@@ -175,7 +184,7 @@ def fly_trial(
             )
         flight = loop.run(trial.duration, judge.watch)
         port: Record = {"port": world.record} if isinstance(world, PortWorld) else {}
-        port |= {"supervisor": supervisor.record} if supervisor is not None else {}
+        port |= {"supervisor": dict(supervisor.record)} if supervisor is not None else {}
     if flight.reason == "interrupted":
         raise KeyboardInterrupt
     record: Record = {"trial": number, "seed": trial.seed, "reason": flight.reason}
