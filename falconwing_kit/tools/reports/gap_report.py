@@ -22,6 +22,7 @@ from falconwing_kit.tools.reports.gap_text import (
     addition_rows,
     before_after_text,
     contest_text,
+    detectable_rows,
     effect_equations,
     equation,
     gap_rows,
@@ -161,6 +162,7 @@ def _page(study: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
         "where": where_text(study),
         "next_flight": sentence(record["next_flight"]),
         "additions": addition_rows(study),
+        "detectable": detectable_rows(study),
         "noise": noise_text(record["noise"]),
     }
 
