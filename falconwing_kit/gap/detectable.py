@@ -26,7 +26,7 @@ class DetectableSize:
     effect: str
     parameter: Parameter
     size: float  # in the parameter's unit; inf: beyond the parameter's range
-    known_aircraft: float  # the same if the baseline had left no doubt about the aircraft
+    known_aircraft: float  # the same if the baseline had determined the aircraft exactly
 
 
 def detectable_sizes(base: NominalModel, naming: Naming) -> tuple[DetectableSize, ...]:

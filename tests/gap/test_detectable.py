@@ -60,7 +60,7 @@ def test_twice_the_flight_shows_smaller_effects():
     assert all(d.known_aircraft <= d.size * (1.0 + 1e-9) for d in short.values())
 
 
-def test_a_doubtful_baseline_hides_what_its_parameters_imitate():
+def test_an_uncertain_baseline_hides_what_its_parameters_imitate():
     """Thrust lost is less thrust per throttle: the worse the baseline knows that, the more must be
     lost. A wind is no parameter of the aircraft.
     """
