@@ -2,7 +2,7 @@
 
 The minimum detectable effect of fault diagnosis: the size whose expected evidence reaches the
 threshold. It falls with the flight's length and excitation, and with how well the baseline flight
-knows the aircraft, whose parameters imitate an effect within their prior.
+determines the aircraft, whose parameters imitate an effect within their prior.
 """
 
 from dataclasses import dataclass
