@@ -1,13 +1,15 @@
 """Detectable sizes against flights with effects of multiples of them, which are named or not."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from falconwing_kit.gap.baseline import bic_penalty
+from falconwing_kit.gap.baseline import _drift_prior, bic_penalty
 from falconwing_kit.gap.detectable import DetectableSize, detectable_sizes
 from falconwing_kit.gap.name import Naming, name_effect
+from falconwing_kit.sysid.fit import prior_rows
 from tests.gap.studies import own_base, own_flight
 
 SECONDS, SEED = 30.0, 43
@@ -67,3 +69,21 @@ def test_an_uncertain_baseline_hides_what_its_parameters_imitate():
     found = sizes(SECONDS)
     assert found["thrust_lost"].size > 1.5 * found["thrust_lost"].known_aircraft
     assert found["wind_x"].size < 1.2 * found["wind_x"].known_aircraft
+
+
+def test_error_that_a_window_shares_does_not_widen_the_prior_of_evidence():
+    """An offset in each window raises the variance factor, which divides the evidence; the prior
+    has the covariance of white residuals, inv(J'J / s^2 + P) by NumPy, drift divided by the factor.
+    """
+    base, rng = own_base(), np.random.default_rng(2)
+    result, windows = base.result, base.windows
+    offset = 2.0 * rng.normal(size=(len(windows), 1))
+    result = replace(result, residual=result.residual + offset)
+    prior, drift, factor = _drift_prior(result, windows, base.weak)
+    J, (P, _) = result.reduced_jacobian, prior_rows(result.model, result.free, base.weak)
+    dof = windows.count - J.shape[2] - J.shape[0] * result.model.n_states
+    information = np.einsum("wif,wig->fg", J, J) * dof / np.sum(result.residual**2) + P.T @ P
+    white = np.diag(np.linalg.inv(information))
+    assert factor > 1.5
+    for k, (name, sigma) in enumerate(prior.sigma.items()):
+        assert sigma == pytest.approx(np.sqrt(white[k] + drift[name] ** 2 / factor), rel=1e-3)
