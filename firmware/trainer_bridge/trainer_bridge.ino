@@ -4,6 +4,7 @@
 //   pin 11  PPM out (OC1A)              the timer itself makes each edge; the interrupt only prepares the next one
 //   pin 49  PPM in (ICP4)               the pilot's channels, if the radio outputs PPM
 //   pin 19  Spektrum serial in (RX1)    the pilot's channels, from a remote receiver
+//   pin 13  LED out                     on while ACTIVE; `falconwing bench` measures the camera's delay by it
 //   USB     115200 8N1                  the computer
 //
 // This file contains pins, registers and interrupts. All decisions are in safety, link, ppm_out and ppm_in, which do
@@ -18,7 +19,7 @@
 #include "ppm_out.h"
 #include "safety.h"
 
-constexpr uint8_t PPM_OUT_PIN = 11, PPM_IN_PIN = 49, SPEKTRUM_PIN = 19;
+constexpr uint8_t PPM_OUT_PIN = 11, PPM_IN_PIN = 49, SPEKTRUM_PIN = 19, LED_PIN = 13;
 constexpr uint32_t STATUS_PERIOD_US = 1000000UL / STATUS_HZ;
 constexpr uint8_t LARGEST_FRAME = 48;  // STATUS with eight channels; the core buffers 63 bytes
 constexpr uint8_t HUNG_TICKS = 150000UL / FRAME_US;  // a pass of loop() takes well under 2 ms
@@ -229,6 +230,7 @@ void setup() {
   if (PILOT_SOURCE != 1) begin_ppm_in();
   if (PILOT_SOURCE != 0) Serial1.begin(115200);
   pinMode(SPEKTRUM_PIN, INPUT_PULLUP);
+  pinMode(LED_PIN, OUTPUT);
   begin_ppm_out();
   set_sleep_mode(SLEEP_MODE_IDLE);
   wdt_enable(WDTO_250MS);
@@ -241,6 +243,7 @@ void loop() {
   for (int n = Serial1.available(); n > 0; --n) {
     if (pilot_spektrum.byte(uint8_t(Serial1.read()), micros(), CHANNELS)) pilot_spektrum_ready = true;
   }
+  digitalWrite(LED_PIN, safety.state() == State::ACTIVE);
   tell_host();
   nap();
 }
