@@ -19,7 +19,7 @@
 #include "ppm_out.h"
 #include "safety.h"
 
-constexpr uint8_t PPM_OUT_PIN = 11, PPM_IN_PIN = 49, SPEKTRUM_PIN = 19, LED_PIN = 13;
+constexpr uint8_t PPM_OUT_PIN = 11, PPM_IN_PIN = 49, SPEKTRUM_PIN = 19;
 constexpr uint32_t STATUS_PERIOD_US = 1000000UL / STATUS_HZ;
 constexpr uint8_t LARGEST_FRAME = 48;  // STATUS with eight channels; the core buffers 63 bytes
 constexpr uint8_t HUNG_TICKS = 150000UL / FRAME_US;  // a pass of loop() takes well under 2 ms
@@ -210,6 +210,12 @@ void tell_host() {
 
 // ---- the program ----
 
+// The LED on pin 13 is PB7. One instruction each: the interrupts are not held up, as digitalWrite() would do.
+void show_active() {
+  if (safety.state() == State::ACTIVE) PORTB |= _BV(PB7);
+  else PORTB &= ~_BV(PB7);
+}
+
 // Sleep until the next interrupt, at most 1 ms (the clock's). sei() executes the next instruction before any
 // interrupt, so no byte is missed between the check and the sleep (data sheet 7.8 and 11.2 idle mode).
 void nap() {
@@ -230,7 +236,7 @@ void setup() {
   if (PILOT_SOURCE != 1) begin_ppm_in();
   if (PILOT_SOURCE != 0) Serial1.begin(115200);
   pinMode(SPEKTRUM_PIN, INPUT_PULLUP);
-  pinMode(LED_PIN, OUTPUT);
+  DDRB |= _BV(PB7);
   begin_ppm_out();
   set_sleep_mode(SLEEP_MODE_IDLE);
   wdt_enable(WDTO_250MS);
@@ -243,7 +249,7 @@ void loop() {
   for (int n = Serial1.available(); n > 0; --n) {
     if (pilot_spektrum.byte(uint8_t(Serial1.read()), micros(), CHANNELS)) pilot_spektrum_ready = true;
   }
-  digitalWrite(LED_PIN, safety.state() == State::ACTIVE);
+  show_active();
   tell_host();
   nap();
 }
