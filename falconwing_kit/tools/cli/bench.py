@@ -50,7 +50,7 @@ class Bench:
     """a folder of photos of the checkerboard, of the camera's size, in place of live images"""
     views: int = 20
     """views of the checkerboard"""
-    cycles: int = 40
+    cycles: int = 60
     """times that the LED is switched, a second and a half each"""
     calibration: Path | None = None
     """file of falconwing calibrate; without it ./trainer_port.toml, or the kit's default"""

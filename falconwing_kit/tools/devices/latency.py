@@ -6,7 +6,6 @@ was on; over many hand-backs the images sample the fall of its brightness at man
 sampling oscilloscope does (equivalent-time sampling), far more finely than the camera's period.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -27,9 +26,9 @@ ENGAGE_S = 5.0  # longest wait for the board to follow
 DARK_S = 0.5  # observed after a hand-back; longer delays are refused
 MIN_CONTRAST = 20.0  # of the LED in the image [grey levels]
 MIN_CYCLES = 10
-RAMPS_S = np.arange(0.001, 0.0605, 0.003)  # durations of the fall that are tried: the exposure
+RAMPS_S = np.arange(0.004, 0.0605, 0.003)  # durations of the fall that are tried: the exposure
 RESOLUTION_S = 0.00025  # of the delays that are tried
-BLOCKS = 8  # of hand-backs, left out in turn for the error
+RESAMPLES = 200  # of the hand-backs, for the error
 MAX_ERROR_S = 0.002  # of a delay that is written
 
 Sleep = Callable[[float], Any]
@@ -122,7 +121,7 @@ def measure_latency(
     images: ImageSource,
     sleep: Sleep,
     ppm: PpmTimes,
-    cycles: int = 40,
+    cycles: int = 60,
     seed: int = 0,
     progress: Callable[[], Any] = lambda: None,
 ) -> LatencyFit:
@@ -172,7 +171,7 @@ def fit_fall(falls: Sequence[Array]) -> tuple[float, float, float]:
 
     Returns:
         The delay of the fall's middle and its duration [s], and half of the delay's 95 % interval,
-        by the jackknife over blocks of hand-backs.
+        by the bootstrap over hand-backs.
 
     Raises:
         InputError: too few hand-backs.
@@ -181,24 +180,31 @@ def fit_fall(falls: Sequence[Array]) -> tuple[float, float, float]:
         raise InputError(
             f"LED: expected {MIN_CYCLES} hand-backs or more, got {len(falls)}; more --cycles"
         )
-    delays = np.arange(0.0, DARK_S - 0.1, RESOLUTION_S)
-    delay, duration = _best_fall(falls, delays, RAMPS_S)
-    near = delays[np.abs(delays - delay) < 0.02]
-    without = [
-        _best_fall([f for k, f in enumerate(falls) if k % BLOCKS != block], near, RAMPS_S)[0]
-        for block in range(BLOCKS)
-    ]
-    error = math.sqrt((BLOCKS - 1) / BLOCKS * float(np.var(without) * BLOCKS))
-    return delay, duration, max(1.96 * error, RESOLUTION_S)
+    coarse = np.arange(0.0, DARK_S - 0.1, 16 * RESOLUTION_S)
+    about, _ = _best(_squares(falls, coarse, RAMPS_S[::4]).sum(axis=0), coarse, RAMPS_S[::4])
+    near = about + np.arange(-0.012, 0.012, RESOLUTION_S)
+    squares = _squares(falls, near, RAMPS_S)
+    delay, duration = _best(squares.sum(axis=0), near, RAMPS_S)
+    rng = np.random.default_rng(len(falls))
+    counts = rng.multinomial(len(falls), np.full(len(falls), 1.0 / len(falls)), RESAMPLES)
+    drawn = np.tensordot(counts, squares, axes=1)  # (RESAMPLES, durations, delays)
+    spread = float(np.std([_best(each, near, RAMPS_S)[0] for each in drawn]))
+    return delay, duration, max(1.96 * spread, RESOLUTION_S)
 
 
-def _best_fall(falls: Sequence[Array], delays: Array, durations: Array) -> tuple[float, float]:
+def _squares(falls: Sequence[Array], delays: Array, durations: Array) -> Array:
+    """Squared errors of each hand-back: (falls, durations, delays)."""
+    squares = np.empty((len(falls), len(durations), len(delays)))
+    for number, (tau, brightness) in enumerate(fall.T for fall in falls):
+        late = tau - delays[:, None]
+        for row, duration in enumerate(durations):
+            model = 1.0 - np.clip(late / duration + 0.5, 0.0, 1.0)
+            squares[number, row] = ((model - brightness) ** 2).sum(axis=1)
+    return squares
+
+
+def _best(squares: Array, delays: Array, durations: Array) -> tuple[float, float]:
     """The pair of the grid with the least squared error."""
-    tau, brightness = np.concatenate(falls).T
-    squares = np.empty((len(durations), len(delays)))
-    for row, duration in enumerate(durations):
-        model = 1.0 - np.clip((tau - delays[:, None]) / duration + 0.5, 0.0, 1.0)
-        squares[row] = ((model - brightness) ** 2).sum(axis=1)
     row, column = divmod(int(squares.argmin()), len(delays))
     # Without noise many delays between two images fit equally well: their middle.
     equal = np.flatnonzero(squares[row] <= squares[row, column] + 1e-9)

@@ -134,8 +134,17 @@ def find_corners(pixels: Pixels, pattern: tuple[int, int]) -> Array | None:
     """
     import cv2
 
-    found, corners = cv2.findChessboardCornersSB(to_grey(pixels), pattern)
-    return np.asarray(corners, np.float64).reshape(-1, 2) + 0.5 if found else None
+    grey = to_grey(pixels)
+    found, corners = cv2.findChessboardCornersSB(grey, pattern)
+    if not found:
+        return None
+    # It finds more boards than the older method, but places their corners less well.
+    rows = np.asarray(corners).reshape(pattern[1], pattern[0], 2)
+    spacing_px = float(np.linalg.norm(np.diff(rows, axis=1), axis=2).min())
+    half = int(np.clip(spacing_px / 4.0, 2.0, 11.0))
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
+    refined = cv2.cornerSubPix(grey, np.asarray(corners), (half, half), (-1, -1), criteria)
+    return np.asarray(refined, np.float64).reshape(-1, 2) + 0.5
 
 
 def fit_lens(views: Sequence[Array], pattern: tuple[int, int], size: tuple[int, int]) -> LensFit:
