@@ -17,6 +17,7 @@ from falconwing_kit.core.config import write_toml
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.core.messages import Command, Image
 from falconwing_kit.tools.cli.fly import Fly
+from falconwing_kit.tools.cli.fly_aircraft import _supervisor
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.tools.cli.poses import Poses, read_video
 from falconwing_kit.tools.cli.scene_photos import undistort_photos
@@ -24,6 +25,8 @@ from falconwing_kit.tools.devices.calibration import BenchCalibration, read_benc
 from falconwing_kit.tools.devices.latency import LatencyFit
 from falconwing_kit.tools.devices.lens import LensFit
 from falconwing_kit.tools.devices.simulated_bench import LENS, BenchTruth, draw_checkerboard
+from falconwing_kit.tools.hardware import bench_record
+from falconwing_kit.trainer_port.ppm import load_calibration
 
 TRUTH = BenchTruth()
 LATENCY = LatencyFit(0.0717, 0.001, 0.01, 0.0017, 0.07, 0.02, 0.09, 60)
@@ -130,6 +133,23 @@ def test_a_flight_with_the_measured_delay_is_another_flight(file, capsys):
     assert main([*words, "--bench", str(file)]) == 0
     late = json.loads(capsys.readouterr().out)
     assert late["successes"] == 1 and late["ald_m"]["mean"] != plain["ald_m"]["mean"]
+
+
+def test_the_cameras_delay_counts_towards_the_age_of_an_image():
+    """An image is 70 ms old when it arrives, so it may be 330 ms old by its arrival, of 400."""
+    assert _supervisor(Fly(), MEASURED).settings.max_image_age_s == pytest.approx(0.33)
+    assert _supervisor(Fly(), None).settings.max_image_age_s == 0.4
+
+
+def test_a_real_aircraft_refuses_a_simulated_bench(tmp_path, monkeypatch, capsys):
+    """Behind a passed bench test; no port is opened."""
+    radio = replace(load_calibration(), radio="NX8", measured=date.today().isoformat())
+    write_toml("trainer_port.toml", radio)
+    write_toml("simulated.toml", replace(MEASURED, simulated=True))
+    monkeypatch.setattr(bench_record, "require_bench_test", lambda *given: tmp_path)
+    words = ["fly", "--port", "COM3", "--source", "camera", "--pilot", "pose"]
+    assert main([*words, "--bench", "simulated.toml"]) == 2
+    assert "got a SIMULATED bench" in capsys.readouterr().err
 
 
 def test_delays_that_cannot_be_simulated_are_refused():
