@@ -50,7 +50,8 @@ def fly_aircraft(fly: "Fly") -> int:
     with ExitStack() as stack:
         port = stack.enter_context(open_ready_port(fly.port, fly.calibration, fly.radio))
         images = _open_images(stack, fly, bench)
-        log = _open_log(stack, fly, port, lens)
+        is_straight = bench is not None and bench.lens is not None
+        log = _open_log(stack, fly, port, lens, is_straight)
         sink = AircraftPort(port, log)
         supervisor = _supervisor(fly, bench)
         loop = Loop(
@@ -187,7 +188,7 @@ def _load_pilot(fly: "Fly") -> tuple[Any, "PinholeCamera"]:
     try:
         camera.open()
         pixels = camera.read()
-    except OSError as error:
+    except (OSError, EOFError) as error:
         raise InputError(f"--camera {fly.camera}: {error}") from None
     finally:
         camera.close()
@@ -227,7 +228,7 @@ def _supervisor(fly: "Fly", bench: "BenchCalibration | None") -> Supervisor:
 
 
 def _open_log(
-    stack: ExitStack, fly: "Fly", port: TrainerPort, lens: "PinholeCamera"
+    stack: ExitStack, fly: "Fly", port: TrainerPort, lens: "PinholeCamera", is_straight: bool
 ) -> "FlightLogWriter | None":
     """The flight log in --out."""
     if fly.out is None:
@@ -239,7 +240,7 @@ def _open_log(
     fly.out.mkdir(parents=True, exist_ok=True)
     path = fly.out / time.strftime("flight_%Y%m%d_%H%M%S.mcap")
     log = stack.enter_context(FlightLogWriter(path))
-    how = recording_metadata(port, lens, undistorted=fly.bench is not None)
+    how = recording_metadata(port, lens, undistorted=is_straight)
     log.metadata({**how, "mode": "autonomous", "pilot": fly.pilot, "task": fly.task})
     return log
 

@@ -70,7 +70,8 @@ class Record:
             )
         if self.source == "sim" and self.bench is not None:
             raise InputError("--bench: expected it with a real camera, got --source sim")
-        lens = None if self.bench is None else read_bench(self.bench).require_lens()
+        is_real = self.port not in SIMULATED_PORTS
+        lens = None if self.bench is None else read_bench(self.bench, is_real).require_lens()
         if self.out.exists() and not self.out.is_dir():
             raise InputError(
                 f"--out {self.out}: expected a folder, got a file; choose another name"

@@ -150,6 +150,8 @@ def test_a_real_aircraft_refuses_a_simulated_bench(tmp_path, monkeypatch, capsys
     words = ["fly", "--port", "COM3", "--source", "camera", "--pilot", "pose"]
     assert main([*words, "--bench", "simulated.toml"]) == 2
     assert "got a SIMULATED bench" in capsys.readouterr().err
+    assert main(["record", "--port", "COM3", "--bench", "simulated.toml"]) == 2
+    assert "got a SIMULATED bench" in capsys.readouterr().err
 
 
 def test_delays_that_cannot_be_simulated_are_refused():
