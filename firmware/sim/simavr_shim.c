@@ -29,7 +29,7 @@
 #include "sim_elf.h"
 
 enum { CLOCK_HZ = 16000000, UARTS = 2, RAM_START = 0x200 };
-enum { SPL = 0x5D, SREG = 0x5F, WDTCSR = 0x60, WDE = 0x08, DDRB = 0x24, PB5 = 0x20, VECTOR_BYTES = 4 };
+enum { SPL = 0x5D, SREG = 0x5F, WDTCSR = 0x60, WDE = 0x08, DDRB = 0x24, PORTB = 0x25, PB5 = 0x20, VECTOR_BYTES = 4 };
 enum { TCCR1A = 0x80, TCCR1C = 0x82, FOC1A = 0x80, TIMER1_COMPA = 17, TIMER1_TICK = 8 };
 enum { NINTHS = 9, BYTE_NINTHS = 12500 }; /* ten bits at 115200 baud are 12500 / 9 cycles of 16 MHz */
 enum { LONGEST_RUN = 1000000, STANDSTILL = 160, JUMP_TO_ITSELF = 0xCFFF, RETURN_FROM_INTERRUPT = 0x9518 };
@@ -303,6 +303,7 @@ board *sim_open(const char *elf_path, uint32_t seed) {
 const char *sim_error(void) { return last_error; }
 uint64_t sim_cycle(const board *b) { return b->avr->cycle; }
 int sim_pin(const board *b) { return b->pin_level; }
+int sim_led(const board *b) { return b->avr->data[PORTB] >> 7 & 1; } /* pin 13 is PB7 */
 uint32_t sim_counter(const board *b, int which) { return b->counters[which]; }
 
 void sim_send(board *b, int uart, const uint8_t *bytes, size_t count) {

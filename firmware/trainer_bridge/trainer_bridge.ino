@@ -4,6 +4,7 @@
 //   pin 11  PPM out (OC1A)              the timer itself makes each edge; the interrupt only prepares the next one
 //   pin 49  PPM in (ICP4)               the pilot's channels, if the radio outputs PPM
 //   pin 19  Spektrum serial in (RX1)    the pilot's channels, from a remote receiver
+//   pin 13  LED out                     on while ACTIVE; `falconwing bench` measures the camera's delay by it
 //   USB     115200 8N1                  the computer
 //   any     BUZZER_PIN                  an active buzzer that sounds in LOST, if set in config.h
 //
@@ -279,6 +280,12 @@ void tell_host() {
 
 // ---- the program ----
 
+// The LED on pin 13 is PB7. One instruction each: the interrupts are not held up, as digitalWrite() would do.
+void show_active() {
+  if (safety.state() == State::ACTIVE) PORTB |= _BV(PB7);
+  else PORTB &= ~_BV(PB7);
+}
+
 // Sleep until the next interrupt, at most 1 ms (the clock's). sei() executes the next instruction before any
 // interrupt, so no byte is missed between the check and the sleep (data sheet 7.8 and 11.2 idle mode).
 void nap() {
@@ -300,6 +307,7 @@ void setup() {
   if (PILOT_SOURCE != 1) begin_ppm_in();
   if (PILOT_SOURCE != 0) Serial1.begin(115200);
   pinMode(SPEKTRUM_PIN, INPUT_PULLUP);
+  DDRB |= _BV(PB7);
   begin_ppm_out();
   if (BUZZER_PIN != 0) pinMode(BUZZER_PIN, OUTPUT);
   wdt_enable(WDTO_250MS);
@@ -311,6 +319,7 @@ void loop() {
   ticks_without_loop = 0;
   for (int n = Serial.available(); n > 0; --n) take_byte(uint8_t(Serial.read()));
   for (int n = Serial1.available(); n > 0; --n) take_spektrum(uint8_t(Serial1.read()));
+  show_active();
   tell_host();
   if (BUZZER_PIN != 0) digitalWrite(BUZZER_PIN, safety.state() == State::LOST && (millis() & 256));
   nap();

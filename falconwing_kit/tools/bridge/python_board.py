@@ -54,6 +54,10 @@ class Board(Protocol):
     kind: str  # description for the user
     t: float  # [s] since it was created; continues over resets and power cycles
 
+    @property
+    def led(self) -> bool:
+        """Whether the LED is on: while ACTIVE."""
+
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *error: object) -> None: ...
@@ -175,6 +179,11 @@ class PythonBoard:
         self._pilot_us = slots or None
         if slots and self._due["pilot"] == math.inf:
             self._due["pilot"] = self.t
+
+    @property
+    def led(self) -> bool:
+        """Whether the LED is on: while ACTIVE."""
+        return self._safety.state == "ACTIVE"
 
     def hang(self) -> None:
         """Stop the main program: nothing is read or sent until the watchdog resets the board."""

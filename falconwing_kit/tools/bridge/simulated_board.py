@@ -115,6 +115,11 @@ class SimulatedBoard:
                 self._edges = []
         return [frame for frame in frames if frame is not None]
 
+    @property
+    def led(self) -> bool:
+        """Whether the LED on pin 13 is on."""
+        return bool(self._sim.sim_led(self._handle))
+
     def set_pilot(self, channels_us: Sequence[float] | None) -> None:
         """PPM on the pilot's pin after the current frame: (n,) [us], or None for silence.
 
@@ -304,6 +309,7 @@ def _library() -> ctypes.CDLL:
         "sim_error": (ctypes.c_char_p, []),
         "sim_cycle": (cycles, [board]),
         "sim_pin": (ctypes.c_int, [board]),
+        "sim_led": (ctypes.c_int, [board]),
         "sim_counter": (ctypes.c_uint32, [board, ctypes.c_int]),
         "sim_send": (None, [board, ctypes.c_int, ctypes.c_char_p, size]),
         "sim_receive": (size, [board, ctypes.c_char_p, size]),

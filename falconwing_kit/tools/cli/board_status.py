@@ -3,10 +3,9 @@
 import math
 import shutil
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,12 +31,14 @@ class StatusLine:
     port: TrainerPort
     seconds: float  # duration; 0 is unlimited
     moves: bool = True  # move the sticks of a simulated board's pilot, to have something to show
-    _start: float = field(default_factory=time.perf_counter)
+    _start: float = math.nan  # on the port's clock: virtual time for a simulated flight
     _shown: float = -math.inf
 
     def is_over(self, recording: "Recording | None" = None) -> bool:
         """Update the line if it is due; True when the time is up."""
-        t = time.perf_counter() - self._start
+        now = self.port.now()
+        self._start = now if math.isnan(self._start) else self._start
+        t = now - self._start
         if t - self._shown >= SHOW_S:
             self._shown = t
             if self.moves:
@@ -55,12 +56,17 @@ class StatusLine:
 
     def alert(self, sentence: str) -> None:
         """Print an alert on a line of its own, with the terminal's bell."""
-        print(f"\n\aALERT: {sentence}", file=sys.stderr, flush=True)
+        alert(sentence)
 
     def end(self) -> None:
         """Leave the line."""
         if sys.stderr.isatty():
             print(file=sys.stderr)
+
+
+def alert(sentence: str) -> None:
+    """Print an alert on a line of its own, with the terminal's bell."""
+    print(f"\n\aALERT: {sentence}", file=sys.stderr, flush=True)
 
 
 @contextmanager

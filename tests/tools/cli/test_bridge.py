@@ -13,10 +13,12 @@ import time
 import types
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command
+from falconwing_kit.flight.sources import RenderedView
 from falconwing_kit.tools.bridge.bus import COMMAND, StampedCommand
 from falconwing_kit.tools.bridge.open_port import open_port
 from falconwing_kit.tools.bridge.ros import RosBus
@@ -173,14 +175,38 @@ def test_a_recorded_approach_is_a_whole_log(tmp_path, capsys):
     )
 
 
+def test_a_busy_machine_raises_no_alarm_of_the_simulated_camera(monkeypatch, capsys):
+    """Every image takes 0.35 s to draw, longer than the 0.3 s after which the monitor calls a real
+    camera frozen. The flight's own time stretches: an image every 50 ms, none lost, no alarm.
+    """
+    look = RenderedView.look
+
+    def slow_look(view):
+        time.sleep(0.35)
+        return look(view)
+
+    monkeypatch.setattr(RenderedView, "look", slow_look)
+    assert run("record", "--port", "sim-python", "--source", "sim", "--seconds", "1", "--json") == 0
+    said = capsys.readouterr()
+    found = json.loads(said.out)
+    log = read_flight_log(found["file"])
+    assert found["alarms"] == 0 and "ALERT" not in said.err
+    assert len(log.image_times) >= 19
+    assert np.diff(log.image_times) == pytest.approx(0.05, abs=1e-6)
+
+
 def test_a_camera_that_is_not_there_costs_no_sticks(capsys):
-    """The grabber goes on looking for camera 99; the sticks are recorded without images."""
-    assert run("record", "--port", "sim-python", "--camera", "99", "--seconds", "0.5") == 0
-    said = capsys.readouterr().out
-    assert (
-        "next: falconwing export" in said
-        and "no image came: is the camera plugged in, and is it 99" in said
-    )
+    """The grabber goes on looking for camera 99; the sticks are recorded without images, which is
+    not what was asked for: exit 1 and a sentence, with --json too.
+    """
+    words = ["record", "--port", "sim-python", "--camera", "99", "--seconds", "0.5"]
+    assert run(*words) == 1
+    said = capsys.readouterr()
+    assert "next: falconwing export" in said.out
+    assert "no image came: is the camera plugged in, and is it 99" in said.err
+    assert run(*words, "--out", "again", "--json") == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["commands"] > 5 and "no image came" in said.err
 
 
 def test_a_recording_without_sticks_is_no_success(monkeypatch, capsys):

@@ -103,13 +103,6 @@ def test_the_pose_pilot_lands_in_the_hall_without_a_state(tmp_path, monkeypatch,
     assert np.linalg.norm(estimates - truth, axis=1)[5:].max() < 1.0
 
 
-@pytest.mark.parametrize("words", [("--source", "camera"), ("--port", "COM3")])
-def test_the_real_aircraft_is_not_there_yet(words, capsys):
-    """The expert needs a state that no camera gives yet."""
-    assert main(["fly", *words]) == 2
-    assert "no pilot for the real aircraft yet" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
