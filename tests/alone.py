@@ -20,6 +20,7 @@ ALONE = {
     "tools/classroom/test_server.py": "sockets and floods in real time",
     "stories/test_classroom.py": "a browser beside a flight in real time",
     "tools/cli/test_calibrate.py": "a board in real time",
+    "tools/cli/test_fly_aircraft.py": "a board and a camera in real time",
     "tools/classroom/test_share.py": "a browser",
     "tools/demo/test_alfa_gap.py": "the long demo that README's test runs too: once in one process",
     "tools/demo/test_live_page.py": "a page's server and its browsers",

@@ -41,6 +41,7 @@ CORRELATION, OUTLIERS, MISSING = 0.5, 0.005, 0.01  # s, shares of the poses
 HALL = np.array(
     [19.5, 14.5, 8.0]
 )  # m: a flight that leaves it, or touches the floor, is flown anew
+LARGE_HALL = np.array([25.0, 20.0, 8.0])  # m: a manoeuvre of straight legs takes more room
 ATTEMPTS, SAME_SIZE = (
     40,
     10,
@@ -136,6 +137,45 @@ def make_case(
     return HiddenCase(*tables, truth, (_after_lead(calm[1]), _after_lead(flight[1])), aircraft)
 
 
+def fly_on(
+    case: HiddenCase, pilot: Pilot, seconds: float, rng: np.random.Generator, pause: float = 5.0
+) -> FlightTable | None:
+    """Fly the aircraft of a case on, with its effect, by another pilot, measured by a like camera.
+
+    The battery and the clock go on: the second table begins a pause [s] after the end of the first.
+
+    Args:
+        case: its flight is the one before.
+        pilot: flies from 10 s before the table begins.
+        seconds: length of the table [s].
+        rng: of the measurement noise.
+        pause: between the two tables [s].
+
+    Returns:
+        Both tables as one, with a gap in time; None where the flight leaves a hall of 50 x 40 m.
+    """
+    truth, first = case.truth, case.flight
+    names = truth["effect"].split("+")
+    acting = _together(case.aircraft, names, [truth["size"]] * len(names))
+    begin, before_step = float(first.t[-1]) + pause, acting.before_step
+    later = None if before_step is None else lambda t, fdm: before_step(t + begin, fdm)
+    flown = _inside(
+        fly_jsbsim(acting.aircraft, pilot, LEAD + seconds, before_step=later), LARGE_HALL
+    )
+    if flown is None:
+        return None
+    kept = {key: truth["measurement"][key] for key in ("pose_bias", "jitter")}
+    camera = _Camera(rng, truth["noise"], truth["correlated_noise"], **kept)
+    second = camera.table(first.name, flown, acting)
+    return FlightTable(
+        first.name,
+        np.concatenate([first.t, begin + second.t - second.t[0]]),
+        np.concatenate([first.p_world, second.p_world]),
+        np.concatenate([first.attitude, second.attitude]),
+        np.concatenate([first.commands, second.commands]),
+    )
+
+
 def _merged(parts: list[dict[str, Any]]) -> dict[str, Any]:
     return {key: value for part in parts for key, value in part.items()}
 
@@ -178,12 +218,17 @@ def _fly(
 ) -> Flown | None:
     """The flight, or None if it left the hall."""
     pilot = _up_and_down(figure_eights(rng, shake, one_way), rng, seconds + LEAD)
-    t, states, sticks = fly_jsbsim(
-        acting.aircraft, pilot, LEAD + seconds, before_step=acting.before_step
+    return _inside(
+        fly_jsbsim(acting.aircraft, pilot, LEAD + seconds, before_step=acting.before_step)
     )
+
+
+def _inside(flown: Flown, hall: Array = HALL) -> Flown | None:
+    """The flight, or None if it left the hall after LEAD."""
+    states = flown[1]
     place = _after_lead(states)[:, :3]
-    inside = np.isfinite(states).all() and (np.abs(place) < HALL).all() and place[:, 2].min() > 0.05
-    return (t, states, sticks) if inside else None
+    inside = np.isfinite(states).all() and (np.abs(place) < hall).all() and place[:, 2].min() > 0.05
+    return flown if inside else None
 
 
 def _up_and_down(pilot: Pilot, rng: np.random.Generator, seconds: float) -> Pilot:

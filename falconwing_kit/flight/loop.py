@@ -379,6 +379,8 @@ class _Run:
 
     def write_step(self, step: LoopStep, new_image: Image | None) -> None:
         """Log a step, the command first: if the disk fills up, the command is the part to have."""
+        if new_image is not None and new_image.t < 0.0:  # a camera runs before the loop does
+            new_image = replace(new_image, t=0.0)
 
         def write(log: FlightLogWriter) -> None:
             log.command(self.loop.clock.now(), step.command, new_image)

@@ -9,6 +9,8 @@ command = pilot.act(observation)          # and pilot.mode
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from importlib.resources import files
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -21,11 +23,14 @@ from falconwing_kit.control.expert import FollowExpert, LandingExpert
 from falconwing_kit.control.leader import LeaderPath
 from falconwing_kit.control.successive_loops import SuccessiveAutopilot
 from falconwing_kit.core.checks import InputError, require_shape
+from falconwing_kit.core.files import short_name
 from falconwing_kit.core.messages import Command, Observation
+from falconwing_kit.flight.image_pilot import ImagePilot
 from falconwing_kit.flight.loop import Pilot
 from falconwing_kit.flight.manual import ManualPilot
 from falconwing_kit.flight.pose_pilot import PosePilot
 from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.vision.policy import Policy
 from falconwing_kit.vision.pose_net import PoseNet
 
 P_BODY_CAMERA_M = (0.20, 0.0, 0.0)  # the camera of the hall's data: on the nose
@@ -65,9 +70,12 @@ PILOTS = {
     "pose": PilotEntry(
         "by the camera: pose network, filter, expert", ("landing",), False, ("hall",)
     ),
+    "student": PilotEntry(
+        "by the camera: one small network, trained by imitation", ("landing",), False, ("hall",)
+    ),
     "manual": PilotEntry("by hand, on the page of `falconwing class`", ("landing", "follow"), True),
 }
-PLANNED = ("rgb", "mask", "rgb_mask", "student")  # names of later versions
+PLANNED = ("rgb", "mask", "rgb_mask")  # names of later versions
 TASK_NAMES = ("landing", "follow")
 
 
@@ -98,7 +106,7 @@ def load_pilot(
     name: str, task: str = "landing", scene: str = "hall", camera: PinholeCamera | None = None,
     p_body_camera_m: ArrayLike | None = None, *, model: Model | None = None,
     airframe: Airframe | None = None, pad: LandingPad | None = None,
-    leader: LeaderPath | None = None,
+    leader: LeaderPath | None = None, weights: str | Path | None = None,
 ) -> ReadyPilot:  # fmt: skip
     """The pilot of a name.
 
@@ -111,6 +119,7 @@ def load_pilot(
         model: that it is designed on; None for the kit's aircraft.
         airframe: wheels and span; None for the kit's aircraft.
         pad: where to land; None for that of the hall.
+        weights: of a policy, such as `falconwing train` writes; None for those that ship.
         leader: the path to follow, for a pilot that follows by the leader's state.
 
     Returns:
@@ -129,6 +138,10 @@ def load_pilot(
             f" got {p_body_camera.tolist()}; check the unit"
         )
     model, airframe, pad = model or rates_model(), airframe or load_airframe(), pad or LandingPad()
+    if weights is not None and name != "student":
+        raise InputError(
+            f"weights: expected none for pilot {name}, got {short_name(weights)}; use student"
+        )
     if name == "manual":
         return ManualPilot(model, airframe, pad)
     if task == "follow":
@@ -141,6 +154,14 @@ def load_pilot(
     if name == "pose":
         net = _pose_net(scene)
         return PosePilot(model, airframe, pad, _checked_camera(net, camera), p_body_camera, net)
+    if name == "student":
+        policy = _policy(task, name) if weights is None else Policy.load(weights)
+        if policy.record.task != task:
+            raise InputError(
+                f"weights: expected a policy for the task {task}, got one for"
+                f" {policy.record.task}; take its own task"
+            )
+        return ImagePilot(policy, _require_camera(camera), p_body_camera)
     make = partial(LandingExpert, model, airframe, pad)
     if name == "expert_pid":
         make = partial(make, autopilot=SuccessiveAutopilot)
@@ -177,12 +198,26 @@ def _pose_net(scene: str) -> PoseNet:
     return PoseNet.load(scene)
 
 
+@lru_cache(maxsize=4)
+def _policy(task: str, name: str) -> Policy:
+    """The policy of a task, loaded once for all flights."""
+    return Policy.load(
+        Path(str(files("falconwing_kit.data") / f"policy_{task}_{name}.safetensors"))
+    )
+
+
 def _checked_camera(net: PoseNet, camera: PinholeCamera | None) -> PinholeCamera:
     """The camera, if the network can use its images; the first estimate also warms up PyTorch."""
+    camera = _require_camera(camera)
+    net.estimate(np.zeros((camera.height, camera.width, 3), np.uint8), camera)
+    return camera
+
+
+def _require_camera(camera: PinholeCamera | None) -> PinholeCamera:
+    """The camera; InputError for none."""
     if not isinstance(camera, PinholeCamera):
         raise InputError(
             f"camera: expected a PinholeCamera for a pilot that flies by images, got {camera!r};"
             " pass the aircraft's own, such as fpv_camera()"
         )
-    net.estimate(np.zeros((camera.height, camera.width, 3), np.uint8), camera)
     return camera

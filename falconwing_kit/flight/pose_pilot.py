@@ -116,7 +116,7 @@ class CameraObserver:
         """Fuse the pose of an image; why not, or ""."""
         if image is None:
             return "no image"
-        if self._last is not None and _is_repeated(image, self._last):
+        if self._last is not None and is_repeated(image, self._last):
             return "repeated image"
         if not np.isfinite(image.t) or image.t > t + TIME_ROUNDING:
             return "image of a wrong time"
@@ -175,7 +175,7 @@ class PosePilot:
 
     def act(self, observation: Observation) -> Command:
         """The expert's command on the estimate; the safe command where the aircraft is lost."""
-        past_commands = _finite_commands(observation.past_commands)
+        past_commands = finite_commands(observation.past_commands)
         observation = replace(observation, state=None, past_commands=past_commands)
         if self._expert.mode == LANDED:  # the expert no longer asks, but the log still does
             self._observer.estimate(observation)
@@ -192,7 +192,7 @@ class PosePilot:
         return command
 
 
-def _is_repeated(image: Image, last: Image) -> bool:
+def is_repeated(image: Image, last: Image) -> bool:
     """Whether an image is the last one again, by its number, its time or its pixels."""
     return (
         image is last
@@ -202,7 +202,7 @@ def _is_repeated(image: Image, last: Image) -> bool:
     )
 
 
-def _finite_commands(past_commands: Array) -> Array:
+def finite_commands(past_commands: Array) -> Array:
     """Commands (n, 4) that were sent, rows that are not finite replaced by the safe command."""
     commands = np.array(past_commands, np.float64)
     commands[~np.isfinite(commands).all(axis=1)] = SAFE_COMMAND.vector

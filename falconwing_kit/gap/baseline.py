@@ -69,6 +69,8 @@ class NominalModel:
     inflation: Mapping[str, float] = field(default_factory=dict)
     drift: Mapping[str, float] = field(default_factory=dict)  # standard deviation, day to day
     weak: Prior | None = None  # the prior of its own fit
+    # Variance factor of its parameters, as `inflation`: the prior is given without it.
+    prior_inflation: float = 1.0
 
     @property
     def reduced_chi2(self) -> float:
@@ -79,6 +81,14 @@ class NominalModel:
     def window_s(self) -> float:
         """Length of its windows [s]."""
         return float(np.median(np.diff(self.windows.nodes)) * self.windows.nodes.shape[1])
+
+    @property
+    def parameter_prior(self) -> Prior:
+        """The prior with its variance factor, for evidence that is not divided by one."""
+        wider = float(np.sqrt(self.prior_inflation))
+        return replace(
+            self.prior, sigma={name: wider * size for name, size in self.prior.sigma.items()}
+        )
 
     def with_measurement_weights(self, windows: Windows) -> Windows:
         """The same windows weighted by the pose noise alone: no robust weights, no whitening."""
@@ -271,9 +281,9 @@ def calibrate_nominal_model(
         float(false_alarms[named].max(initial=0.0)),
         float(false_alarms[~named].max(initial=0.0)),
     )
-    prior, drift = _drift_prior(result, windows, weak)
+    prior, drift, factor = _drift_prior(result, windows, weak)
     return NominalModel(
-        found, noise, result, windows, baseline_chi2, prior, *gains, inflation, drift, weak
+        found, noise, result, windows, baseline_chi2, prior, *gains, inflation, drift, weak, factor
     )
 
 
@@ -361,11 +371,15 @@ def available_generic_effects(model: Model) -> tuple[Effect, ...]:
 
 def _drift_prior(
     result: FitResult, windows: Windows, weak: Prior | None
-) -> tuple[Prior, dict[str, float]]:
+) -> tuple[Prior, dict[str, float], float]:
     """Prior for another day: the baseline's covariance, and a percent of drift per coefficient.
 
+    Where residuals are alike all through a window, variances are larger than white residuals make
+    them. All evidence under this prior is divided by such a factor, which widens the prior as much;
+    so it is given without one, lest it be counted twice.
+
     Returns:
-        The prior, and the drift alone, the standard deviation of each parameter.
+        The prior, the drift alone (standard deviation of each parameter), and the variance factor.
     """
     confidence = uncertainty(result, windows, weak)
     parameters = {p.name: p for p in result.model.parameters}
@@ -377,11 +391,11 @@ def _drift_prior(
     )
     timing = np.array([n in ("delay", "lag") for n in confidence.names])
     drift[timing] = TIMING_DRIFT_S
-    covariance = confidence.covariance + np.diag(drift**2)
+    covariance = (confidence.covariance + np.diag(drift**2)) / confidence.inflation
     sigma = np.sqrt(np.diag(covariance))
     spread = dict(zip(confidence.names, sigma.tolist(), strict=True))
     prior = Prior(dict(result.model.values), spread, covariance / np.outer(sigma, sigma))
-    return prior, dict(zip(confidence.names, drift.tolist(), strict=True))
+    return prior, dict(zip(confidence.names, drift.tolist(), strict=True)), confidence.inflation
 
 
 def bic_penalty(effect: Effect, windows: Windows) -> float:

@@ -89,6 +89,22 @@ class SchurComplement:
             None,
         )
 
+    def information(self, effect: Sensitivities) -> tuple[Array, Array]:
+        """Chi2 that each amplitude explains per square of its size, on average, when it acts alone.
+
+        E'E - E'K (K'K + P)^-1 K'E, the noncentrality of the score test [Wald 1943]: E and K the
+        derivatives of the effect and of the parameters outside the span of the initial states, P
+        the parameters' prior.
+
+        Returns:
+            (A,) with the parameters free under their prior, and (A,) with the parameters known.
+        """
+        E = _project_out(self.Q, np.nan_to_num(effect.derivative, posinf=0.0, neginf=0.0))
+        A = _regularise(np.einsum("wif,wig->fg", self.K, self.K, optimize=True) + self.prior)
+        B = np.einsum("wif,wik->fk", self.K, E, optimize=True)
+        known = np.einsum("wik,wik->k", E, E, optimize=True)
+        return known - np.einsum("fk,fk->k", B, np.linalg.solve(A, B)), known
+
     def inflation(self, effect: Sensitivities) -> float:
         """Variance of an effect's score between windows over that of white residuals.
 

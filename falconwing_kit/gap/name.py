@@ -175,6 +175,7 @@ def _decide(
         verdict = "outside"
     generic = _best_generic(base, windows, before, explained_bic, progress)
     distance_squared, n_prior = _prior_distance(adding_up[-1].result or before, base.prior)
+    distance_squared /= base.prior_inflation
     mahalanobis = distance_squared / n_prior
     # Evidence above which the generic effect is the better explanation.
     generic_limit = (

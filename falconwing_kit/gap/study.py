@@ -19,6 +19,7 @@ from falconwing_kit.core.flight_table import FlightTable, nominal_rate_hz
 from falconwing_kit.gap.advice import headline, next_flight
 from falconwing_kit.gap.baseline import VERY_STRONG_EVIDENCE, NominalModel, identify_baseline
 from falconwing_kit.gap.close import GapClosure, Onset, close_gap, name_with_onset
+from falconwing_kit.gap.detectable import DetectableSize, detectable_sizes
 from falconwing_kit.gap.discrepancy import Discrepancy, discrepancy_record, find_discrepancy
 from falconwing_kit.gap.measure import (
     FlightReplay,
@@ -87,6 +88,7 @@ class GapStudy:
     catalogue: tuple[Effect, ...] = CATALOGUE  # the effects that were tried
     faults: tuple[str, ...] = ()  # likely mistakes in the tables, one sentence each
     discrepancy: Discrepancy | None = None  # terms without a name, where the verdict is outside
+    detectable: tuple[DetectableSize, ...] = ()  # how large each effect must be to show here
 
 
 def study_gap(
@@ -144,6 +146,7 @@ def study_gap(
     progress("where it disagrees")
     replays = replay_baseline(base), replay_flight(base, naming)
     residual_bins = residual_map(replays[1], replays[0])
+    detectable = detectable_sizes(base, naming)
     clock.append(time.perf_counter())
     seconds = dict(zip(("calm", "name", "close", "measure"), np.diff(clock).tolist(), strict=True))
     names = ", ".join(one.name for one in calms), flight.name
@@ -159,6 +162,7 @@ def study_gap(
         catalogue,
         tuple(faults),
         discrepancy,
+        detectable,
     )
 
 
@@ -218,6 +222,16 @@ def gap_record(study: GapStudy) -> dict[str, Any]:
             "attitude_deg": {name: s.attitude_deg for name, s in scores.items()},
         },
         "next_flight": next_flight(base, naming),
+        "detectable": [
+            {
+                "effect": d.effect,
+                "parameter": d.parameter.name,
+                "size": d.size if math.isfinite(d.size) else None,
+                "known_aircraft": d.known_aircraft if math.isfinite(d.known_aircraft) else None,
+                "unit": d.parameter.unit,
+            }
+            for d in study.detectable
+        ],
         "since": _onset_record(study),
         "headline": headline(naming),
         "flights": {"calm": study.names[0], "flight": study.names[1]},

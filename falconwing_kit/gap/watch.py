@@ -286,13 +286,17 @@ def nominal_model_from_file(file: ModelFile, table: FlightTable) -> NominalModel
     result = fit(found.model, windows, found.result.initial_states, prior=prior)
     tried = [*CATALOGUE, *available_generic_effects(result.model)]
     base = calibrate_nominal_model(found, noise, result, windows, tried)
-    return replace(base, prior=replace(prior, mean=dict(result.model.values)))
+    prior = replace(prior, mean=dict(result.model.values))
+    return replace(base, prior=prior, prior_inflation=1.0)
 
 
 def run_tests(base: NominalModel, noise: FilterNoise, rows: Iterable[Row]) -> Iterator[TestValues]:
     """Both tests over the rows of one flight, without thresholds."""
     model = base.result.model
-    kalman, tests = InnovationFilter(model, noise, base.prior), ChangeTests(model.n_states)
+    kalman, tests = (
+        InnovationFilter(model, noise, base.parameter_prior),
+        ChangeTests(model.n_states),
+    )
     for row in rows:
         step = kalman.update(row)
         values = tests.update(step) if step is not None else None
@@ -358,7 +362,7 @@ class Watch:
         """
         model = monitor.base.result.model
         self._monitor, self._catalogue, self._name = monitor, tuple(catalogue), name
-        self._filter = InnovationFilter(model, monitor.noise, monitor.base.prior)
+        self._filter = InnovationFilter(model, monitor.noise, monitor.base.parameter_prior)
         self._tests = ChangeTests(model.n_states)
         self._rows: list[Row] = []
         self._tries = list(NAME_AFTER_S)

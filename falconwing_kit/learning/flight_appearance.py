@@ -4,7 +4,6 @@ link and covered parts, as one camera keeps them through a flight.
 Single images are varied by appearance.py, from which the analog link and the blur are taken.
 """
 
-
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -27,8 +26,7 @@ class FlightAppearance:
         self.clean = uniform(count, 0.0, 1.0) < CLEAN_SHARE
         # exposure, white balance and uneven light are factors
         self._gain = torch.exp(
-            uniform(count, -0.8, 0.8)[:, None, None, None]
-            + 0.06 * normal(count, 3, 1, 1)
+            uniform(count, -0.8, 0.8)[:, None, None, None] + 0.06 * normal(count, 3, 1, 1)
         )
         self._field = 0.15 * normal(count, 1, *GRID)
         self._gamma = torch.exp(0.2 * normal(count, 1, 1, 1))
@@ -37,15 +35,21 @@ class FlightAppearance:
         self._tint = 0.02 * normal(count, 3, 1, 1)
         self._noise = (0.06 * uniform(count, 0.0, 1.0) ** 2)[:, None, None, None]
         self._salt = torch.where(
-            uniform(count, 0.0, 1.0) < 0.06, uniform(count, 0.0, 0.2), torch.zeros(1, device=self._device)
+            uniform(count, 0.0, 1.0) < 0.06,
+            uniform(count, 0.0, 0.2),
+            torch.zeros(1, device=self._device),
         )
         self._analog = uniform(count, 0.0, 1.0) < ANALOG_SHARE
         self._sigma_px = torch.where(
-            uniform(count, 0.0, 1.0) < BLUR_SHARE, uniform(count, 0.3, 1.3), torch.zeros(1, device=self._device)
+            uniform(count, 0.0, 1.0) < BLUR_SHARE,
+            uniform(count, 0.3, 1.3),
+            torch.zeros(1, device=self._device),
         )
         # a side of the image is covered up to a share of it; and spots
         self._cover = torch.where(
-            uniform(count, 0.0, 1.0) < COVER_SHARE, uniform(count, 0.1, 0.55), torch.zeros(1, device=self._device)
+            uniform(count, 0.0, 1.0) < COVER_SHARE,
+            uniform(count, 0.1, 0.55),
+            torch.zeros(1, device=self._device),
         )
         self._side = (4.0 * uniform(count, 0.0, 1.0)).long()
         self._spots = torch.rand(count, 2, 4, generator=generator, device=self._device)
@@ -100,7 +104,7 @@ class FlightAppearance:
         y, x = y.expand(height, width), x.expand(height, width)
         from_side = torch.stack([x, 1.0 - x, y, 1.0 - y])[self._side[flights]]
         hidden = from_side < self._cover[flights][:, None, None]
-        cx, cy, rx, ry = (self._spots[flights][:, 0].unbind(-1))
+        cx, cy, rx, ry = self._spots[flights][:, 0].unbind(-1)
         shape = (-1, 1, 1)
         rx, ry = (0.05 + 0.2 * r.reshape(shape) for r in (rx, ry))
         spot = ((x - cx.reshape(shape)) / rx) ** 2 + ((y - cy.reshape(shape)) / ry) ** 2 < 1.0

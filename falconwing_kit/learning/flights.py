@@ -1,7 +1,7 @@
 """Flights: situations and commands -> camera poses, the teacher's commands and true states, in
 worker processes, step by step.
 
-The world is the kit's own `SimulatedWorld`, and the teacher its own expert, told the truth: the
+The world is the kit's own `SimulatedWorld`, and the teacher its own expert on the truth: the
 true state, this very aircraft and the mean wind. It sits beside whatever pilot flies and says at
 every step what it would do [DAgger, Ross, Gordon & Bagnell 2011].
 """
@@ -9,6 +9,7 @@ every step what it would do [DAgger, Ross, Gordon & Bagnell 2011].
 import multiprocessing
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
@@ -47,7 +48,7 @@ class Snapshot:
 
 
 class TrueState:
-    """An observer that is told the truth."""
+    """An observer that takes the observation's state as it is: here the true one."""
 
     def estimate(self, observation: Observation) -> State | None:
         """The true state."""
@@ -59,14 +60,12 @@ def make_teacher(situation: Situation) -> Pilot:
     model, airframe, delay = situation.known_model, load_airframe(), situation.delay
     autopilot = partial(Autopilot, integrates=False)
     if situation.leader is not None:
-        return FollowExpert(
-            model, airframe, situation.leader, SPEED, delay, TrueState(), autopilot
-        )
+        return FollowExpert(model, airframe, situation.leader, SPEED, delay, TrueState(), autopilot)
     return LandingExpert(model, airframe, LandingPad(), SPEED, delay, TrueState(), autopilot)
 
 
 def make_world(situation: Situation) -> SimulatedWorld:
-    """The world of a situation; its measured state, which nobody reads, is the true one."""
+    """The world of a situation; its measured state is the true one."""
     pad = LandingPad() if situation.leader is None else None
     return SimulatedWorld(
         situation.model, load_airframe(), situation.start, seed=situation.seed, pad=pad,
@@ -103,7 +102,8 @@ class TaughtFlight:
 
     def advance(self, command: Array) -> None:
         """Send a command (4,) and fly one step."""
-        sent = Command.clip(*map(float, command))
+        throttle, aileron, elevator, rudder = command.tolist()
+        sent = Command.clip(throttle, aileron, elevator, rudder)
         self._past = np.concatenate([self._past[1:], sent.vector[None]])
         self.world.send(self.world.t, sent)
         if self._judge is not None:
@@ -157,7 +157,8 @@ def _follow_auxiliary(state: State, leader: State, delay: float) -> Array:
     p_body = R_world_body.T @ (leader.p_world - state.p_world)
     distance = float(np.linalg.norm(p_body))
     place = [*p_body / 4.0, distance / 4.0, *(5.0 * p_body[1:] / (distance + 0.5))]
-    R_body_leader = R_world_body.T @ leader.pose.T_world_body[:3, :3]
+    R_world_leader = leader.pose.T_world_body[:3, :3]
+    R_body_leader = R_world_body.T @ R_world_leader
     attitude = [float(a) for a in euler_from_rotation(np.diag((1.0, -1.0, -1.0)) @ R_body_leader)]
     v_body = R_world_body.T @ (leader.v_world - state.v_world)
     own = [state.roll, state.pitch, *state.rates_body / 2.0, state.p_world[2] / 2.0]
@@ -215,10 +216,8 @@ class Fleet:
     def close(self) -> None:
         """End the workers."""
         for pipe in self._pipes:
-            try:
+            with suppress(OSError):  # it has ended already
                 pipe.send(("close", None))
-            except OSError:  # it has ended already
-                pass
         for process in self._processes:
             process.join(timeout=5.0)
             if process.is_alive():
@@ -307,5 +306,5 @@ def _serve(pipe: Connection) -> None:
             return
         try:
             pipe.send(getattr(squad, verb)(argument))
-        except Exception as error:  # noqa: BLE001  the fleet raises it
+        except Exception as error:
             pipe.send(f"{type(error).__name__}: {error}")

@@ -1,4 +1,4 @@
-"""Imitation: an expert that is told the truth, a scene and a network -> a policy that sees [DAgger].
+"""Imitation: an expert on the true state, a scene and a network -> a policy that sees.
 
 Rounds: many flights at once, flown at first by the expert and then by the policy itself, while the
 expert says at every step what it would do; then some training on all flights so far
@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from falconwing_kit.core.checks import Array, InputError
-from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.core.messages import CONTROL_PERIOD_S
 from falconwing_kit.flight.pilots import P_BODY_CAMERA_M
 from falconwing_kit.learning.flight_appearance import FlightAppearance
@@ -89,7 +89,8 @@ class Learner:
         self, shape: PolicyShape, schedule: Schedule, device: str, see: See = see_rgb
     ) -> None:
         torch.manual_seed(schedule.seed)
-        self.network = PolicyNetwork(shape, AUXILIARY).to(device, memory_format=torch.channels_last)
+        self.network = PolicyNetwork(shape, AUXILIARY).to(device)
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = deepcopy(self.network).eval().requires_grad_(False)
         self.shape, self.schedule, self.device, self.see = shape, schedule, device, see
         self.generator = torch.Generator(device).manual_seed(schedule.seed)
@@ -99,7 +100,7 @@ class Learner:
         )
         self.steps = 0
 
-    def train_step(self, flights: Sequence[Flown], share: float, ranges: Ranges) -> float:
+    def train_step(self, flights: Sequence[Flown], share: float, ranges: Ranges) -> Tensor:
         """One step on a batch of flights; share of the training that is over. Returns the loss."""
         rows = self.rng.integers(len(flights), size=self.schedule.batch)
         batch = [flights[row] for row in rows]
@@ -143,9 +144,41 @@ class Learner:
         extra = MEMORY_LOSS * off_memory + IMAGE_LOSS * off_image
         total_loss = loss + (extra * weight).sum() / total
         self._update(total_loss, share)
-        return loss.detach()  # type: ignore[return-value]
+        return loss.detach()
 
-    def _tensor(self, values: Array) -> Tensor:
+    def save_state(self, path: Path) -> None:
+        """Write both networks, for an interrupted training."""
+        from safetensors.torch import save
+
+        parts = {"network": self.network, "average": self.average}
+        tensors = {
+            f"{name}.{key}": tensor.contiguous().cpu()
+            for name, network in parts.items()
+            for key, tensor in network.state_dict().items()
+        }
+        with atomic_write(path) as file:
+            file.write(save(tensors, {"shape": json.dumps(asdict(self.shape))}))
+
+    def load_state(self, path: Path) -> None:
+        """Go on with the networks of an interrupted training.
+
+        Raises:
+            InputError: the file is damaged, or of a network of another shape.
+        """
+        from safetensors.torch import load
+
+        try:
+            tensors = load(path.read_bytes())
+            for name, network in (("network", self.network), ("average", self.average)):
+                own = {k.removeprefix(f"{name}."): w for k, w in tensors.items() if name in k[:8]}
+                network.load_state_dict(own)
+        except Exception:  # a damaged file can fail anywhere
+            raise InputError(
+                f"{short_name(path)}: expected an interrupted training of this network, got a"
+                " damaged file or another network; delete it to begin anew"
+            ) from None
+
+    def _tensor(self, values: Any) -> Tensor:
         return torch.from_numpy(np.asarray(values, np.float32)).to(self.device)
 
     def _update(self, loss: Tensor, share: float) -> None:
@@ -205,7 +238,9 @@ class Rollout:
         self._past = np.zeros((B, PAST, CONTROLS))
         self._drift, self._sigma = np.zeros((B, CONTROLS)), np.zeros((B, 1))
         if noise:
-            self._sigma = learner.rng.uniform(0.0, 0.15, (B, 1)) * (learner.rng.random((B, 1)) < 0.5)
+            self._sigma = learner.rng.uniform(0.0, 0.15, (B, 1)) * (
+                learner.rng.random((B, 1)) < 0.5
+            )
         self._teaches = np.zeros(B, bool)
         self._k = 0
         self._data: list[tuple[Any, ...]] = []
@@ -257,9 +292,7 @@ class Rollout:
         age = np.where(newest >= 0, (k - newest) * CONTROL_PERIOD_S, np.nan)
         inputs = policy_inputs(self._past, age, self._mounts, learner.shape.history)
         x = torch.from_numpy(inputs).to(device)
-        commands, _, _, self._memory = learner.average(
-            delivered[:, None], x[:, None], self._memory
-        )
+        commands, _, _, self._memory = learner.average(delivered[:, None], x[:, None], self._memory)
         return commands[:, 0].float().cpu().numpy().astype(np.float64)
 
     def flown(self) -> list[Flown]:
@@ -339,7 +372,7 @@ def imitate(
         left = seconds - used
         is_last = number == schedule.rounds - 1 or left < 2.5 * flown_s
         budget = left if is_last else flown_s * (1.0 - schedule.collecting) / schedule.collecting
-        loss, steps = _train_for(learner, data, ranges, budget, begin, seconds)
+        loss = _train_for(learner, data, ranges, budget, begin, seconds)
         record = {
             "round": float(number), "s": time.perf_counter() - begin, "flying_s": flown_s,
             "flights": float(len(data)), "images": float(sum(len(f.sent) for f in data)),
@@ -360,23 +393,21 @@ def _prepare(fleets: Sequence[Fleet], task: str, seed: int, flights: int, ranges
     share = flights // len(fleets)
     for k, fleet in enumerate(fleets):
         first = seed + k * share
-        fleet.prepare(
-            [(task, first + i, ranges, np.array(P_BODY_CAMERA_M)) for i in range(share)]
-        )
+        fleet.prepare([(task, first + i, ranges, np.array(P_BODY_CAMERA_M)) for i in range(share)])
 
 
 def _train_for(
     learner: Learner, data: list[Flown], ranges: Ranges, budget: float, begin: float, seconds: float
-) -> tuple[float, int]:
-    """Train for some seconds; mean loss of it, and the number of steps."""
+) -> float:
+    """Train for some seconds; the mean loss of it."""
     learner.network.train()
-    end, losses = time.perf_counter() + max(budget, 0.0), []
+    end, losses = time.perf_counter() + max(budget, 0.0), list[Tensor]()
     while not losses or time.perf_counter() < end:
         share = (time.perf_counter() - begin) / seconds
         losses.append(learner.train_step(data, share, ranges))
         if learner.device == "cuda" and len(losses) % 8 == 0:
             torch.cuda.synchronize()  # or the clock would run ahead of the GPU
-    return float(torch.stack([torch.as_tensor(x) for x in losses]).mean()), len(losses)
+    return float(torch.stack(losses).mean())
 
 
 def evaluate(

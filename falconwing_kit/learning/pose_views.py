@@ -88,8 +88,7 @@ def make_renderer(
     antialiased: bool = False,
     batch: int = BATCH,
 ) -> RenderFunction:
-    """Function that renders a scene from many poses, by gsplat in calls of `batch`, else one by one.
-    """
+    """Function that renders a scene from many poses: by gsplat in calls of `batch`, or singly."""
 
     def by_gsplat(Ts_world_camera: Array) -> tuple[Tensor, Tensor, Tensor]:
         """A RenderFunction: BATCH views a call, on the GPU."""

@@ -42,7 +42,7 @@ class Ranges:
     trim: float = 0.08  # moments, in shares of full control
     delay: tuple[float, float] = (0.0, 0.17)  # of the link, low and high [s]
     long_delay: tuple[float, float] = (0.15, 0.23)  # the same, of one flight in five
-    wind: float = 1.2  # most wind [m/s]; it is uniform in 0 to this, of any direction
+    mean_wind: float = 1.2  # most wind [m/s]; it is uniform in 0 to this, of any direction
     gusts: float = 0.4  # most amplitude [m/s], likewise
     mount: tuple[float, float, float] = (0.25, 0.08, 0.12)  # camera in body axes: 0 to x, +-y, +-z
     mount_angle: float = math.radians(3.0)  # about each of its axes [rad]
@@ -64,7 +64,7 @@ class Situation:
     seed: int
     task: str
     model: Model  # that flies, with gusts
-    known_model: Model  # what the teacher knows of it: all but the gusts
+    known_model: Model  # what the teacher is designed on: all but the gusts
     delay: float  # from a command to its arrival at the aircraft [s]
     start: State
     p_body_camera: Array  # (3,) where the pilot believes its camera to be [m]
@@ -134,9 +134,7 @@ _WIND = WindTerm(
         Parameter(name, 0.0, -10.0, 10.0, "m/s", "of the wind")
         for name in ("mean_wind_x", "mean_wind_y", "gust_x", "gust_y", "gust_z")
     )
-    + tuple(
-        Parameter(f"gust_phase_{k}", 0.0, -10.0, 10.0, "rad", "of a wave") for k in range(3)
-    ),
+    + tuple(Parameter(f"gust_phase_{k}", 0.0, -10.0, 10.0, "rad", "of a wave") for k in range(3)),
     gusty_wind,
 )
 
@@ -149,12 +147,13 @@ def _draw_model(rng: np.random.Generator, ranges: Ranges) -> Model:
         share = 0.0 if name in KEPT else rng.uniform(-1.0, 1.0) * ranges.coefficients
         values[name] = value * (1.0 + share)
     for moment, control in TRIMMED.items():
-        values[moment] = base.values[moment] * (
-            1.0 + rng.uniform(-1.0, 1.0) * 0.4 * ranges.coefficients
-        ) + values[control] * rng.uniform(-1.0, 1.0) * ranges.trim
+        values[moment] = (
+            base.values[moment] * (1.0 + rng.uniform(-1.0, 1.0) * 0.4 * ranges.coefficients)
+            + values[control] * rng.uniform(-1.0, 1.0) * ranges.trim
+        )
     if ranges.coefficients:
         values["lag"] = rng.uniform(0.02, 0.06)
-    speed, direction = rng.uniform(0.0, ranges.wind), rng.uniform(0.0, 2.0 * math.pi)
+    speed, direction = rng.uniform(0.0, ranges.mean_wind), rng.uniform(0.0, 2.0 * math.pi)
     values["mean_wind_x"] = speed * math.cos(direction)
     values["mean_wind_y"] = speed * math.sin(direction)
     return base.with_terms(_WIND).with_values(values)
@@ -204,9 +203,7 @@ def _follow_start(
     return FOLLOW_SPREAD.start(model, behind, int(rng.integers(2**31)), yaw)
 
 
-def draw_delivery(
-    rng: np.random.Generator, steps: int, ranges: Ranges
-) -> tuple[Array, Array]:
+def draw_delivery(rng: np.random.Generator, steps: int, ranges: Ranges) -> tuple[Array, Array]:
     """Which frame is the newest that the pilot has at each step, and which pictures are black.
 
     Half of the flights have every frame at once; the others have it late, or lose some.

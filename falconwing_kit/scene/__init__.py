@@ -10,7 +10,7 @@ from falconwing_kit.scene.camera import PinholeCamera, nose_camera_pose
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.masks import MASK_THRESHOLD, Ellipsoid, ellipse_mask, visible_alpha_image
 from falconwing_kit.scene.native import write_quantised
-from falconwing_kit.scene.render import BACKENDS, Frame, render, require_pose
+from falconwing_kit.scene.render import BACKENDS, Frame, render, render_batch, require_pose
 
 __all__ = [
     "BACKENDS",
@@ -26,6 +26,7 @@ __all__ = [
     "load_scene",
     "nose_camera_pose",
     "render",
+    "render_batch",
     "require_pose",
     "scene_link",
     "visible_alpha_image",

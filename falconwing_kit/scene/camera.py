@@ -3,6 +3,7 @@
 Camera axes are x right, y down, z forward; the centre of the first pixel is at (0.5, 0.5).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,15 +123,29 @@ def require_pose(name: str, pose: ArrayLike) -> Array:
         InputError: the shape is wrong, a number is not finite, or it stretches, shears or mirrors.
     """
     T = require_shape(name, pose, (4, 4))
-    if not np.isfinite(T).all():
+    # Plain numbers: between the images of a GPU, a dozen NumPy calls on 16 of them take 0.1 ms.
+    numbers = T.ravel().tolist()
+    if not all(map(math.isfinite, numbers)):
         count = np.count_nonzero(~np.isfinite(T))
         raise InputError(f"{name}: expected finite numbers, got {count} that are not")
-    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+    if numbers[12:] != [0.0, 0.0, 0.0, 1.0]:
         raise InputError(
             f"{name}: expected the last row 0 0 0 1, got {T[3]}; is the matrix transposed?"
         )
-    R = T[:3, :3]
-    if np.abs(R.T @ R - np.eye(3)).max() > MAX_SKEW or np.linalg.det(R) < 0.0:
+    ax, bx, cx, _, ay, by, cy, _, az, bz, cz, _ = numbers[:12]  # the columns of R are a, b, c
+    aa, bb, cc = (
+        ax * ax + ay * ay + az * az,
+        bx * bx + by * by + bz * bz,
+        cx * cx + cy * cy + cz * cz,
+    )
+    ab, bc, ca = (
+        ax * bx + ay * by + az * bz,
+        bx * cx + by * cy + bz * cz,
+        cx * ax + cy * ay + cz * az,
+    )
+    skew = max(abs(aa - 1.0), abs(bb - 1.0), abs(cc - 1.0), abs(ab), abs(bc), abs(ca))
+    det = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    if skew > MAX_SKEW or det < 0.0:
         raise InputError(
             f"{name}: expected a rotation in the first three columns,"
             " got one that stretches or mirrors"

@@ -3,7 +3,8 @@
 It equals `reference` to a hundredth of a grey level and trades readability for speed; it has no
 gradients. Steps:
 
-    project    each Gaussian becomes a splat: an ellipse in the image with a colour, if in view
+    project    each Gaussian becomes a splat: an ellipse in the image with a colour, if in view;
+               several at once
     sort       the splats, nearest first
     intersect  the tiles of the image that each ellipse overlaps, exactly
     scatter    one list per tile, nearest first
@@ -30,17 +31,20 @@ from falconwing_kit.scene import sh as harmonics
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene, Images
 
-NEAR = 0.01  # smallest depth that is drawn [m]
+NEAR, FAR = 0.01, 3.4e38  # least depth that is drawn, and the largest of a float32 [m]
 BLUR = 0.3  # added to the variances of every splat, so that none falls between pixels [px^2]
 FRUSTUM_MARGIN = 0.3  # in half fields of view: the projection is linearised only up to there
 ALPHA_MAX, ALPHA_MIN = 0.999, 1.0 / 255.0
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 LN_255 = math.log(255.0)
+REACH2 = 1.001 * 2.0 * LN_255  # squared half width of the widest ellipse, in standard deviations
 TRANSMITTANCE_MIN = 1e-4  # a pixel that transmits less is saturated
 
 WORK_PARTS = 16  # parts of every step, shared by the threads
 TILE_WIDTH, TILE_HEIGHT = 16, 16  # [px], at most 16; the width is two AVX2 registers
 TILE_PIXELS = TILE_WIDTH * TILE_HEIGHT
+DIGITS, LAST_DIGIT = 1 << 14, np.uint64((1 << 14) - 1)  # of a pass of the sort by depth
+NEAR_BITS = np.float32(NEAR).view(np.uint32)
 BATCH = 32  # splats fetched together, so that their waits for memory overlap
 MAX_INTERSECTIONS = 1 << 24  # splats times tiles, 8 bytes each; with more the image is cut in bands
 
@@ -94,18 +98,26 @@ def render_fast(
     behind = require_shape("background", background, (3,)).astype(np.float32)
     scenes = (scene,) if isinstance(scene, GaussianScene) else tuple(scene)
     cores = (os.cpu_count() or 1) if threads is None else threads
-    workers = int(require_range("threads", cores, low=1, high=1024))
-    with ThreadPoolExecutor(min(workers, WORK_PARTS)) as pool:
+    workers = min(int(require_range("threads", cores, low=1, high=1024)), WORK_PARTS)
+    with ThreadPoolExecutor(workers) as pool:
 
         def run(kernel: Any, *arguments: Any) -> None:
             """Run all parts of a kernel's step, and wait for the last."""
-            share = map if workers == 1 else pool.map
-            list(share(lambda part: kernel(part, *arguments), range(WORK_PARTS)))
+            parts = iter(range(WORK_PARTS))  # every thread takes the next
 
-        splats, order, tiles_per_gaussian = _splats_in_view(run, scenes, camera, pose, antialiased)
+            def work() -> None:
+                for part in parts:
+                    kernel(part, *arguments)
+
+            helpers = [pool.submit(work) for _ in range(workers - 1)]
+            work()
+            for helper in helpers:
+                helper.result()
+
+        splats, order, tiles_per_splat = _splats_in_view(run, scenes, camera, pose, antialiased)
         rgb = np.empty((camera.height, camera.width, 3), np.float32)
         alpha, depth = np.empty(rgb.shape[:2], np.float32), np.empty(rgb.shape[:2], np.float32)
-        for band, begins in _bands(tiles_per_gaussian, camera.width, camera.height):
+        for band, begins in _bands(tiles_per_splat, camera.width, camera.height):
             offsets, lists = _lists_of_tiles(run, splats, order, begins, band, camera.height)
             run(rasterize_tiles, splats, offsets, lists, band[0], behind, rgb, alpha, depth)
     return rgb, alpha, depth
@@ -116,37 +128,40 @@ def _splats_in_view(
 ) -> Any:
     """Splats (N,); indices (M,) of those in view, nearest first; tiles (M,) in the box of each."""
     R_world_camera, p_world = np.ascontiguousarray(pose[:3, :3]), np.ascontiguousarray(pose[:3, 3])
-    count = sum(len(scene) for scene in scenes)
-    splats, tiles_per_gaussian = np.empty(count, SPLAT), np.empty(count, np.int32)
-    depths = np.full(count, np.inf, np.float32)  # stays inf where a Gaussian is not in view
+    places = sum(len(scene) for scene in scenes)
+    splats, tiles_per_splat = np.empty(places, SPLAT), np.empty(places, np.int32)
+    depths, counts = np.empty(places, np.float32), np.empty(WORK_PARTS, np.int64)
     focal, centre = (float(camera.fx), float(camera.fy)), (float(camera.cx), float(camera.cy))
     lens = (*focal, *centre, camera.width, camera.height)
-    first = 0
+    first, in_view = 0, []
     for scene in scenes:
         arrays = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.sh)
         rows = slice(first, first + len(scene))
-        results = splats[rows], tiles_per_gaussian[rows], depths[rows]
+        results = splats[rows], tiles_per_splat[rows], depths[rows], counts
         run(project_kernel, *arrays, R_world_camera, p_world, lens, bool(antialiased), *results)
+        begins = first + len(scene) * np.arange(WORK_PARTS) // WORK_PARTS
+        in_view += [
+            np.arange(k, k + n, dtype=np.uint32) for k, n in zip(begins, counts, strict=True)
+        ]
         first = rows.stop
-    in_view = np.flatnonzero(depths < np.inf).astype(np.uint32)
-    order = sort_by_depth(in_view, depths.view(np.uint32))
-    return splats, order, tiles_per_gaussian[order]
+    order = sort_by_depth(np.concatenate(in_view), depths.view(np.uint32))
+    return splats, order, tiles_per_splat[order]
 
 
 def _bands(
-    tiles_per_gaussian: Any, width: int, height: int
+    tiles_per_splat: Any, width: int, height: int
 ) -> Iterator[tuple[tuple[int, int], NDArray[np.int64]]]:
     """Bands of tile columns (first, last), and the offset of each part's intersections in them."""
     across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     columns = across
     # A splat overlaps at most columns * down tiles of a band: halve until all of them fit.
     while columns > 1 and (
-        np.minimum(tiles_per_gaussian, columns * down).sum(dtype=np.int64) > MAX_INTERSECTIONS
+        np.minimum(tiles_per_splat, columns * down).sum(dtype=np.int64) > MAX_INTERSECTIONS
     ):
         columns = -(-columns // 2)
-    capacity = np.cumsum(np.minimum(tiles_per_gaussian, columns * down), dtype=np.int64)
+    capacity = np.cumsum(np.minimum(tiles_per_splat, columns * down), dtype=np.int64)
     offsets = np.concatenate([[0], capacity])
-    part_ends = len(tiles_per_gaussian) * np.arange(WORK_PARTS + 1) // WORK_PARTS
+    part_ends = len(tiles_per_splat) * np.arange(WORK_PARTS + 1) // WORK_PARTS
     for first in range(0, across, columns):
         yield (first, min(first + columns, across) - 1), offsets[part_ends]
 
@@ -170,57 +185,163 @@ def _lists_of_tiles(
 @compile_kernel
 def project_kernel(
     part, means, quaternions, scales, opacities, sh, R_world_camera, p_world, lens, antialiased,
-    splats, tiles_per_gaussian, depths,
+    splats, tiles_per_splat, depths, counts,
 ):  # fmt: skip
-    """Gaussians -> splats, the numbers of tiles in their boxes, and the depths of those in view.
+    """Gaussians -> splats in view, the numbers of tiles in their boxes, and their depths.
 
-    cov = J A (J A)^T + BLUR I,  A = R_camera_world R diag(scales)     [Zwicker et al. 2001, EWA]
-    J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]], x/z and y/z clamped to FRUSTUM_MARGIN
-
+    They fill the part's places from its first, counts (parts,) of them, in the order of the scene.
     The ellipse ends where opacity exp(-sigma) = ALPHA_MIN, sigma = 1/2 d^T cov^-1 d.
     """
     fx, fy, cx, cy, width, height = lens
-    margin_u, margin_v = FRUSTUM_MARGIN * 0.5 * width, FRUSTUM_MARGIN * 0.5 * height
-    x_min, x_max = (0.0 - cx - margin_u) / fx, (width - cx + margin_u) / fx
-    y_min, y_max = (0.0 - cy - margin_v) / fy, (height - cy + margin_v) / fy
-    Y, A = np.empty(16, np.float32), np.empty((3, 3))
-    for i in range(len(means) * part // WORK_PARTS, len(means) * (part + 1) // WORK_PARTS):
-        toward = means[i, 0] - p_world[0], means[i, 1] - p_world[1], means[i, 2] - p_world[2]
-        x, y, z = rotate_to_camera(toward, R_world_camera)
-        if not z >= NEAR:
+    block, indices = np.empty(BLOCK_COLUMNS * BLOCK), np.empty(BLOCK, np.int64)
+    Y = np.empty(16, np.float32)
+    begin, end = len(means) * part // WORK_PARTS, len(means) * (part + 1) // WORK_PARTS
+    place = start = begin
+    while start < end:
+        start, count = gather_block(
+            start, end, means, quaternions, scales, R_world_camera, p_world, lens, block, indices
+        )
+        project_block(count, R_world_camera, lens, block)
+        for lane in range(count):
+            i, j = indices[lane], np.uint64(lane)
+            opacity = opacities[i] * (block[ANTIALIASING + j] if antialiased else 1.0)
+            if not opacity >= ALPHA_MIN:
+                continue
+            # Bounding box of the ellipse, and whether it overlaps the image
+            s, neg_log_opacity = splats[place], -math.log(np.float32(opacity))
+            extent = math.sqrt(2.0 * max(LN_255 - neg_log_opacity, 0.0))
+            s.u, s.v = fx * block[X_PER_Z + j] + cx, fy * block[Y_PER_Z + j] + cy
+            s.extent_u, s.extent_v = extent * block[SD_U + j], extent * block[SD_V + j]
+            if not (s.u + s.extent_u >= 0.0 and s.u - s.extent_u <= width):
+                continue
+            if not (s.v + s.extent_v >= 0.0 and s.v - s.extent_v <= height):
+                continue
+            left, right = tile_range(s.u, s.extent_u, TILE_WIDTH, 0, (width - 1) // TILE_WIDTH)
+            top, bottom = tile_range(s.v, s.extent_v, TILE_HEIGHT, 0, (height - 1) // TILE_HEIGHT)
+            tiles_per_splat[place] = (right - left + 1) * (bottom - top + 1)
+            s.correlation, s.complement = block[CORRELATION + j], block[COMPLEMENT + j]
+            s.conic_slope, s.conic_u = block[CONIC_SLOPE + j], block[CONIC_U + j]
+            s.conic_v, s.neg_log_opacity = block[CONIC_V + j], neg_log_opacity
+            depths[place] = s.depth = block[DEPTH + j]
+            s.red, s.green, s.blue = evaluate_colour(i, sh, vector_to(i, means, p_world), Y)
+            place += 1
+    counts[part] = place - begin
+
+
+# A block of Gaussians that are projected together: columns of BLOCK numbers, all in one array,
+# where the compiler sees that they do not overlap and so takes several Gaussians at once.
+BLOCK, BLOCK_COLUMNS = 64, 18
+X_PER_Z, Y_PER_Z, DEPTH, QUATERNION_W, QUATERNION_X, QUATERNION_Y, QUATERNION_Z = (
+    np.uint64(BLOCK * k) for k in range(7)
+)
+SCALE_0, SCALE_1, SCALE_2 = (np.uint64(BLOCK * k) for k in range(7, 10))
+SD_U, SD_V, CORRELATION, COMPLEMENT, CONIC_SLOPE, CONIC_U, CONIC_V, ANTIALIASING = (
+    np.uint64(BLOCK * k) for k in range(10, 18)
+)
+
+
+@compile_kernel
+def gather_block(
+    start, end, means, quaternions, scales, R_world_camera, p_world, lens, block, indices
+):
+    """Fill a block with the next Gaussians that may be in view; where to go on, and their number.
+
+    Left out is what is nearer than NEAR or behind, and what is so far out that even a ball of the
+    Gaussian's largest scale ends outside the image.
+    """
+    fx, fy, cx, cy, width, height = lens
+    x_min, x_max, y_min, y_max = linear_range(lens)
+    count = 0
+    while start < end and count < BLOCK:
+        i = start
+        start += 1
+        x, y, z = rotate_to_camera(vector_to(i, means, p_world), R_world_camera)
+        if not NEAR <= z <= FAR:
             continue
         per_z = 1.0 / z
         x, y = x * per_z, y * per_z
-        # Covariance in the image, from the rows of J A that replace the first two of A
-        principal_axes(i, quaternions, scales, R_world_camera, A)
-        x_clamped, y_clamped = clamp(x, x_min, x_max), clamp(y, y_min, y_max)
-        for k in range(3):
-            A[0, k] = fx * per_z * (A[0, k] - x_clamped * A[2, k])
-            A[1, k] = fy * per_z * (A[1, k] - y_clamped * A[2, k])
-        uu, uv, vv, area = gram_and_determinant(A)
+        u, v = fx * x + cx, fy * y + cy
+        ball = max(scales[i, 0], scales[i, 1], scales[i, 2]) * per_z
+        reach_u, reach_v = fx * fx * ball * ball, fy * fy * ball * ball
+        reach_u = REACH2 * (reach_u * (1.0 + clamp(x, x_min, x_max) ** 2) + BLUR)
+        reach_v = REACH2 * (reach_v * (1.0 + clamp(y, y_min, y_max) ** 2) + BLUR)
+        out_u, out_v = max(-u, u - width, 0.0), max(-v, v - height, 0.0)
+        if out_u * out_u > reach_u or out_v * out_v > reach_v:
+            continue
+        j = np.uint64(count)
+        indices[count], block[X_PER_Z + j], block[Y_PER_Z + j], block[DEPTH + j] = i, x, y, z
+        block[QUATERNION_W + j], block[QUATERNION_X + j] = quaternions[i, 0], quaternions[i, 1]
+        block[QUATERNION_Y + j], block[QUATERNION_Z + j] = quaternions[i, 2], quaternions[i, 3]
+        block[SCALE_0 + j], block[SCALE_1 + j] = scales[i, 0], scales[i, 1]
+        block[SCALE_2 + j] = scales[i, 2]
+        count += 1
+    return start, count
+
+
+@compile_kernel
+def linear_range(lens):
+    """Least and largest x/z, and y/z, for which the projection is linearised."""
+    fx, fy, cx, cy, width, height = lens
+    margin_u, margin_v = FRUSTUM_MARGIN * 0.5 * width, FRUSTUM_MARGIN * 0.5 * height
+    x_min, x_max = (0.0 - cx - margin_u) / fx, (width - cx + margin_u) / fx
+    return x_min, x_max, (0.0 - cy - margin_v) / fy, (height - cy + margin_v) / fy
+
+
+@compile_kernel
+def project_block(count, R_world_camera, lens, block):
+    """Centres, rotations and scales of a block -> its ellipses, several at once.
+
+    cov = J A (J A)^T + BLUR I,  A = R_camera_world R diag(scales)     [Zwicker et al. 2001, EWA]
+    J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]], x/z and y/z clamped to FRUSTUM_MARGIN
+    """
+    fx, fy = lens[:2]
+    x_min, x_max, y_min, y_max = linear_range(lens)
+    R = (
+        (R_world_camera[0, 0], R_world_camera[0, 1], R_world_camera[0, 2]),
+        (R_world_camera[1, 0], R_world_camera[1, 1], R_world_camera[1, 2]),
+        (R_world_camera[2, 0], R_world_camera[2, 1], R_world_camera[2, 2]),
+    )
+    for lane in range(count):
+        j = np.uint64(lane)
+        w, x = block[QUATERNION_W + j], block[QUATERNION_X + j]
+        y, z = block[QUATERNION_Y + j], block[QUATERNION_Z + j]
+        # Principal axes in camera axes, times their standard deviations: the columns of A
+        axis_0 = (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y))
+        axis_1 = (2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x))
+        axis_2 = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+        A_0 = scaled_axis(block[SCALE_0 + j], axis_0, R)
+        A_1 = scaled_axis(block[SCALE_1 + j], axis_1, R)
+        A_2 = scaled_axis(block[SCALE_2 + j], axis_2, R)
+        # The rows (a, b, c) and (d, e, f) of J A, and the covariance from them
+        per_z = 1.0 / block[DEPTH + j]
+        x, y = clamp(block[X_PER_Z + j], x_min, x_max), clamp(block[Y_PER_Z + j], y_min, y_max)
+        per_m_u, per_m_v = fx * per_z, fy * per_z  # pixels of a metre
+        a, d = per_m_u * (A_0[0] - x * A_0[2]), per_m_v * (A_0[1] - y * A_0[2])
+        b, e = per_m_u * (A_1[0] - x * A_1[2]), per_m_v * (A_1[1] - y * A_1[2])
+        c, f = per_m_u * (A_2[0] - x * A_2[2]), per_m_v * (A_2[1] - y * A_2[2])
+        uu, uv, vv = a * a + b * b + c * c, a * d + b * e + c * f, d * d + e * e + f * f
+        # The square of the rows' cross product: the determinant before BLUR, >= 0 despite rounding
+        x, y, z = b * f - c * e, c * d - a * f, a * e - b * d
+        area = x * x + y * y + z * z
         det = area + BLUR * (uu + vv) + BLUR * BLUR
         uu, vv = uu + BLUR, vv + BLUR
-        opacity = opacities[i] * (math.sqrt(area / det) if antialiased else 1.0)
-        if not opacity >= ALPHA_MIN:
-            continue
-        # Bounding box of the ellipse, and whether it overlaps the image
-        s, neg_log_opacity = splats[i], -math.log(np.float32(opacity))
         sd_u, sd_v = math.sqrt(uu), math.sqrt(vv)
-        extent = math.sqrt(2.0 * max(LN_255 - neg_log_opacity, 0.0))
-        s.u, s.v, s.extent_u, s.extent_v = fx * x + cx, fy * y + cy, extent * sd_u, extent * sd_v
-        if not (s.u + s.extent_u >= 0.0 and s.u - s.extent_u <= width):
-            continue
-        if not (s.v + s.extent_v >= 0.0 and s.v - s.extent_v <= height):
-            continue
-        left, right = tile_range(s.u, s.extent_u, TILE_WIDTH, 0, (width - 1) // TILE_WIDTH)
-        top, bottom = tile_range(s.v, s.extent_v, TILE_HEIGHT, 0, (height - 1) // TILE_HEIGHT)
-        tiles_per_gaussian[i], depths[i] = (right - left + 1) * (bottom - top + 1), z
+        block[SD_U + j], block[SD_V + j], block[ANTIALIASING + j] = (
+            sd_u,
+            sd_v,
+            math.sqrt(area / det),
+        )
         # The conic, cov^-1, with its square completed in du
         per_vv, per_sds = 1.0 / vv, 1.0 / (sd_u * sd_v)
-        s.correlation, s.complement = uv * per_sds, math.sqrt(det) * per_sds
-        s.conic_slope, s.conic_u, s.conic_v = uv * per_vv, 0.5 * vv / det, 0.5 * per_vv
-        s.neg_log_opacity, s.depth = neg_log_opacity, z
-        s.red, s.green, s.blue = evaluate_colour(i, sh, toward, Y)
+        block[CORRELATION + j], block[COMPLEMENT + j] = uv * per_sds, math.sqrt(det) * per_sds
+        block[CONIC_SLOPE + j], block[CONIC_U + j] = uv * per_vv, 0.5 * vv / det
+        block[CONIC_V + j] = 0.5 * per_vv
+
+
+@compile_kernel
+def vector_to(i, means, p_world):
+    """From the camera to a Gaussian, in the world's axes [m]."""
+    return means[i, 0] - p_world[0], means[i, 1] - p_world[1], means[i, 2] - p_world[2]
 
 
 @compile_kernel
@@ -235,29 +356,13 @@ def rotate_to_camera(v_world, R):
 
 
 @compile_kernel
-def principal_axes(i, quaternions, scales, R_world_camera, A):
-    """Fill A (3, 3): principal axes as columns, in camera axes, times standard deviations [m]."""
-    w, x, y, z = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
-    axes = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
-        (2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
-        (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    for k in range(3):
-        a, b, c = rotate_to_camera(axes[k], R_world_camera)
-        A[0, k], A[1, k], A[2, k] = scales[i, k] * a, scales[i, k] * b, scales[i, k] * c
-
-
-@compile_kernel
-def gram_and_determinant(M):
-    """Of the rows u, v of M: u.u, u.v, v.v and |u x v|^2 = det(M M^T), >= 0 despite rounding."""
-    a, b, c, d, e, f = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2]
-    x, y, z = b * f - c * e, c * d - a * f, a * e - b * d
+def scaled_axis(scale, axis, R):
+    """A principal axis in the camera's axes, times its standard deviation; R as three rows."""
+    (x, y, z), (Rx, Ry, Rz) = axis, R
     return (
-        a * a + b * b + c * c,
-        a * d + b * e + c * f,
-        d * d + e * e + f * f,
-        x * x + y * y + z * z,
+        scale * (Rx[0] * x + Ry[0] * y + Rz[0] * z),
+        scale * (Rx[1] * x + Ry[1] * y + Rz[1] * z),
+        scale * (Rx[2] * x + Ry[2] * y + Rz[2] * z),
     )
 
 
@@ -296,25 +401,31 @@ def tile_range(center, extent, side, first, last):
 
 @compile_kernel
 def sort_by_depth(indices, keys):
-    """The indices sorted by their keys (N,), the bits of positive floats, which sort as the floats.
+    """The indices sorted by their keys (N,), the bits of depths from NEAR on, which sort as depths.
 
-    A radix sort: three stable counting sorts by 11 bits each, so that equal keys keep their order.
-    It overwrites the array of indices.
+    A radix sort: stable counting sorts by 14 bits each, so that equal keys keep their order. Two of
+    them suffice up to a depth of 40,000 km.
     """
-    spare = np.empty_like(indices)
-    for shift in (0, 11, 22):
-        places = np.zeros(2049, np.int64)
-        for i in indices:
-            places[(keys[i] >> shift & 0x7FF) + 1] += 1
-        for digit in range(2048):
+    pairs, ordered = np.empty(len(indices), np.uint64), np.empty(len(indices), np.uint64)
+    largest = np.uint64(0)
+    for k in range(len(indices)):
+        key = np.uint64(keys[indices[k]] - NEAR_BITS)
+        pairs[k] = key << np.uint64(32) | np.uint64(indices[k])
+        largest = max(largest, key)
+    bits = np.uint64(0)
+    while largest >> bits:
+        places = np.zeros(DIGITS + 1, np.uint32)
+        for pair in pairs:
+            places[(pair >> (bits + np.uint64(32)) & LAST_DIGIT) + np.uint64(1)] += np.uint32(1)
+        for digit in range(DIGITS):
             places[digit + 1] += places[digit]
-        ordered = spare
-        for i in indices:
-            digit = keys[i] >> shift & 0x7FF
-            ordered[places[digit]] = i
-            places[digit] += 1
-        indices, spare = ordered, indices
-    return indices
+        for pair in pairs:
+            digit = pair >> (bits + np.uint64(32)) & LAST_DIGIT
+            ordered[places[digit]] = pair
+            places[digit] += np.uint32(1)
+        pairs, ordered = ordered, pairs
+        bits += np.uint64(14)
+    return pairs.astype(np.uint32)  # the lower half of each pair
 
 
 @compile_kernel

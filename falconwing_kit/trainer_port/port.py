@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.messages import SAFE_COMMAND, Command, Event
+from falconwing_kit.core.messages import COMMAND_NAMES, SAFE_COMMAND, Command, Event
 from falconwing_kit.trainer_port.clock import DeviceClock
 from falconwing_kit.trainer_port.ppm import Calibration, load_calibration
 from falconwing_kit.trainer_port.protocol import (
@@ -26,6 +26,7 @@ from falconwing_kit.trainer_port.protocol import (
     encode_channels,
     encode_sync,
 )
+from falconwing_kit.trainer_port.safety import SafetyConfig
 
 SILENT_AFTER = 0.5  # s without a STATUS, which is sent at 20 Hz
 NO_PULSES_US = 75_000  # board's time without a PPM frame, of which 45 are sent a second
@@ -96,6 +97,7 @@ class TrainerPort:
         self.pilots: deque[PilotFrame] = deque(maxlen=1000)
         self.events: deque[Event] = deque(maxlen=1000)
         self.state, self.engagement = "waiting", "off"
+        self._channels_us: tuple[int, ...] = ()  # of the newest command
         self._pulses_us = 0  # board's time of the first STATUS with the newest PPM frame
         self._reopen, self._deframer, self._bad_before = reopen, Deframer(), 0
         self._next_sequence: int | None = None  # sequence of the next COMMAND
@@ -175,7 +177,8 @@ class TrainerPort:
         """Send one command; call it at the loop's rate, because nothing is repeated automatically.
 
         Before the board is ACTIVE, engage=True first sends engage=0 until the board has received
-        one in SAFE, and then the rising edge that it requires.
+        one in SAFE, and then the rising edge that it requires. The board engages only on commands
+        near the pilot's sticks, or idle and neutral without a pilot's signal (`mismatch`).
 
         Args:
             command: control inputs; a value that is not finite, or no command, hands back.
@@ -193,6 +196,7 @@ class TrainerPort:
         except (ValueError, OverflowError, TypeError, AttributeError) as error:
             self._drop_engagement("bad command", {"error": str(error)})
             channels = self.calibration.channels_us(SAFE_COMMAND)
+        self._channels_us = channels
         return self._send_command(channels, self.engagement in ("engaging", "engaged"))
 
     def hand_back(self) -> None:
@@ -224,6 +228,34 @@ class TrainerPort:
     def status_age(self) -> float:
         """Age of the newest STATUS [s]; nan before the first."""
         return self.now() - self._status_at
+
+    def mismatch(self) -> str:
+        """Why the board does not engage on the newest command; empty if it matches.
+
+        The rule is that of `safety.py` with the shipped limits: near the pilot's sticks, or without
+        a pilot's signal idle and neutral.
+        """
+        status, limits, pilot = self.status, SafetyConfig(), self.pilot
+        if status is None or not self._channels_us:
+            return ""
+        has_pilot = status.has_pilot and pilot is not None
+        if status.engages_without_pilot and not has_pilot:
+            return ""
+        # In SAFE the board's channels are idle and neutral.
+        sticks = pilot.channels_us if has_pilot and pilot else status.channels_us
+        if len(sticks) < len(self._channels_us):
+            return (
+                f"the pilot's radio has {len(sticks)} channels, {len(self._channels_us)} are sent"
+            )
+        reference = "the pilot's stick" if has_pilot else "without a pilot's signal"
+        problems = []
+        for name, stick in zip(COMMAND_NAMES, self.calibration.sticks, strict=True):
+            ours, theirs = (channels[stick.channel - 1] for channels in (self._channels_us, sticks))
+            is_idle = stick is self.calibration.throttle and not has_pilot
+            limit = limits.engage_idle_us if is_idle else limits.engage_near_us
+            if abs(ours - theirs) > limit:
+                problems.append(f"{name} {ours} us, {reference} {theirs} +- {limit} us")
+        return "; ".join(problems)
 
     # Reading.
 
@@ -296,12 +328,15 @@ class TrainerPort:
             if received and status.state == "SAFE":
                 self.engagement, self._engaging_since = "engaging", t
                 self._pulses_us = status.device_time_us  # they may have been off until now
+        elif self.engagement in ("engaging", "engaged") and status.pilot_took_over:
+            self._drop_engagement("pilot took over", details)
         elif self.engagement == "engaging" and status.state == "ACTIVE":
             self.engagement = "engaged"
             self._event("engaged", details)
         elif self.engagement == "engaging" and status.state == "SAFE":
             if t - self._engaging_since > ENGAGE_WITHIN and self._next_sequence is not None:
                 self.engagement, self._request_sequence = "asking", self._next_sequence
+                self._event("not engaged", details | {"reason": self.mismatch()})
         elif self.engagement in ("engaging", "engaged") and status.state != "ACTIVE":
             self._drop_engagement("dropped", details)
         without_us = _wrapped_difference(status.device_time_us, self._pulses_us, 2**32)

@@ -24,7 +24,7 @@ Payloads of STATUS and PILOT by byte; at their end n channels of two bytes [us]:
              18..19 u16  commands with wrong sequence
              20..21 u16  commands out of range
              22..25 u32  PPM frames sent
-             26     u8   silent, 1: PPM output is off
+             26     u8   flags, see STATUS_FLAGS
              27     u8   n, 4..8
              28..   u16  channels
 
@@ -44,17 +44,19 @@ import numpy as np
 
 from falconwing_kit.core.checks import InputError
 
-VERSION = 1
+VERSION = 2
 STATES = ("BOOT", "SAFE", "ACTIVE", "LOST", "FAULT")
-FAULTS = ("none", "range", "stall", "configuration")
+FAULTS = ("none", "range", "stall", "memory")
 # Bits 0..4 of the MCU status register MCUSR, ATmega2560 data sheet.
 RESET_CAUSES = ("power-on", "reset pin", "brown-out", "watchdog", "JTAG")
+# Bits of STATUS's flags: fields of `Status` in the order of the bits.
+STATUS_FLAGS = ("silent", "engages_without_pilot", "has_pilot", "pilot_took_over")
 PILOT_SOURCES = ("PPM", "Spektrum serial")
 COMMAND, SYNC, STATUS, PILOT, SYNC_REPLY = 0x01, 0x02, 0x11, 0x12, 0x13
 MIN_CHANNELS, MAX_CHANNELS = 4, 8
 MAX_COBS_BYTES = 253  # a run of 254 would need the length 255, which COBS reserves
 MIN_PAYLOAD_BYTES, CHECKSUM_BYTES = 1, 2  # the type alone; CRC-16
-MAX_FRAME = 64  # bytes before the zero; the longest frame of version 1 has 47
+MAX_FRAME = 64  # bytes before the zero; the longest frame has 47
 
 _HEADS = {  # fields before the channels
     COMMAND: struct.Struct("<BHB"),
@@ -99,6 +101,11 @@ class Status:
     channels_us: tuple[int, ...]  # (4..8,) [us], of the current PPM frame
     device_time_us: int  # the board's clock [us], wraps after 71 minutes
     version: int = VERSION
+    # True: compiled to engage at any command where no pilot's signal is measured
+    engages_without_pilot: bool = False
+    has_pilot: bool = False  # True: a pilot's frame was measured in the last 100 ms
+    # True: a stick of the pilot ended the engagement, and engage = 0 has not come since
+    pilot_took_over: bool = False
 
     @property
     def reset_causes(self) -> tuple[str, ...]:
@@ -367,12 +374,13 @@ def _status_fields(status: Status) -> tuple[Any, ...]:
     head = (STATUS, status.version, status.device_time_us, state, fault)
     boot = (status.boot_count, status.reset_cause, status.last_sequence, status.accepted)
     counters = (status.bad_frames, status.bad_sequence, status.out_of_range, status.ppm_frames)
-    return (*head, *boot, *counters, int(status.silent), len(status.channels_us))
+    flags = sum(getattr(status, name) << bit for bit, name in enumerate(STATUS_FLAGS))
+    return (*head, *boot, *counters, flags, len(status.channels_us))
 
 
 def _build_status(head: list[Any], channels_us: tuple[int, ...]) -> Status:
     """A status from the fields of its frame, without type and number of channels."""
-    version, device_time_us, state, fault, *numbers, silent = head
+    version, device_time_us, state, fault, *numbers, flags = head
     if version != VERSION:
         raise InputError(
             f"status: expected version {VERSION}, got {version}; "
@@ -385,7 +393,8 @@ def _build_status(head: list[Any], channels_us: tuple[int, ...]) -> Status:
         )
     boots, cause, last, accepted, bad_frames, bad_sequence, out_of_range, ppm_frames = numbers
     counters = (accepted, bad_frames, bad_sequence, out_of_range, ppm_frames)
-    tail = (bool(silent), channels_us, device_time_us, version)
+    silent, *others = (bool(flags >> bit & 1) for bit in range(len(STATUS_FLAGS)))
+    tail = (silent, channels_us, device_time_us, version, *others)
     return Status(STATES[state], FAULTS[fault], boots, cause, last, *counters, *tail)
 
 

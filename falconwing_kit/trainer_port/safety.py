@@ -1,18 +1,30 @@
-"""Safety state machine: commands and ticks with their times -> channels of the next PPM frame.
+"""Safety state machine: commands, the pilot's sticks and ticks -> channels of the next PPM frame.
 
                           first tick
                    BOOT -------------> SAFE <------------ engage = 0 ------------+
                                        |  ^                                      |
-         5 consecutive engage frames   |  | engage = 0: hand-back                |
-         in 500 ms, no gap of 200 ms   v  |                                      |
+         5 consecutive engage frames   |  | engage = 0: hand-back, or            |
+         in 500 ms, no gap of 200 ms,  |  | the pilot moved a stick by 12 %      |
+         all of them matching          v  |                                      |
                                        ACTIVE -- 200 ms without valid frame --> LOST
 
     any state -- 5 commands out of range within 1 s --> FAULT (range)
     any state -- watchdog reset --> FAULT (stall)
+    any state -- a disturbed memory --> FAULT (memory), on the board only
     FAULT -- engage = 0, fault hold-off over --> SAFE
 
 An engage frame is a valid COMMAND with engage = 1. The first of the five is the rising edge of
 engage, from 0 to 1. The fault hold-off lasts 1 s from boot and from every violation.
+
+An engage frame matches if taking over moves nothing. Where the pilot's signal is fresh (a frame of
+the pilot's radio in the last 100 ms), every channel is within 100 us of the pilot's. Without such a
+signal the throttle is within 20 us of idle and the others within 100 us of neutral, unless the
+firmware was compiled with ENGAGE_WITHOUT_PILOT, which STATUS shows. An engage frame that does not
+match ends the count: a new rising edge is required.
+
+The pilot moved a stick if a channel is more than 120 us, 12 % of its travel of 1000 us, from where
+it was at the engagement, or in the first frame measured after it: no computer flies against the
+pilot. A signal that stops does not end ACTIVE, because the radio's trainer switch still does.
 
 Only ACTIVE passes the host's channels on; every other state outputs throttle idle and the other
 channels neutral. This is the reference model: the firmware holds the same machine in C++
@@ -67,6 +79,11 @@ class SafetyConfig:
     host_timeout_ms: int = 200
     engage_frames: int = 5
     engage_window_ms: int = 500
+    engage_near_us: int = 100  # of a command that engages to the pilot's channels, or to neutral
+    engage_idle_us: int = 20  # of its throttle to idle where no pilot's signal is fresh
+    engage_without_pilot: int = 0  # 1: without a pilot's signal any command engages
+    pilot_moved_us: int = 120  # of a pilot's channel since the engagement: SAFE
+    pilot_fresh_ms: int = 100  # age of a pilot's frame that is still a measurement
     silent_after_ms: int = 0  # after the last valid frame: PPM output off; 0: never
     range_fault_frames: int = 5
 
@@ -106,6 +123,13 @@ class Safety:
         self.silent = False  # True: PPM output off
         self.slots_us = self.config.safe_us[: self.config.channels]  # of the last PPM frame
         self._target_us = self.slots_us
+        self.has_pilot = False  # True: the pilot's signal is fresh
+        # True: a stick of the pilot ended the engagement, and engage = 0 has not come since.
+        self.pilot_took_over = False
+        self._pilot_us: tuple[int, ...] = ()  # newest frame of the pilot, at its time
+        self._pilot_at_us = 0
+        # The pilot's channels that movement is judged by; None until there are any.
+        self._reference_us: tuple[int, ...] | None = None
         self._engage: bool | None = None  # flag of the last valid frame
         self._valid_us: int | None = None  # time of the last valid frame
         self._edge_us: int | None = None  # time of the rising edge, while it counts
@@ -148,11 +172,25 @@ class Safety:
             self._process_hand_back()
         return SafetyDecision.ACCEPTED
 
-    def tick(self, now_us: int) -> tuple[int, ...] | None:
-        """Begin a PPM frame at now_us: its channels (channels,) [us], or None for no pulses."""
+    def tick(self, now_us: int, pilot_us: Sequence[int] | None = None) -> tuple[int, ...] | None:
+        """Begin a PPM frame.
+
+        Args:
+            now_us: the board's clock [us].
+            pilot_us: (channels or more,) [us], the pilot's frame measured since the last tick; None
+                for none. One with fewer channels counts as none.
+
+        Returns:
+            The frame's channels (channels,) [us], or None for no pulses.
+        """
         self._expire_timers(now_us)
         if self.state == "BOOT":
             self.state = "SAFE"
+        if pilot_us is not None and len(pilot_us) >= self.config.channels:
+            self._judge_pilot(now_us, tuple(pilot_us[: self.config.channels]))
+        elif self.has_pilot:
+            age_us = elapsed_us(now_us, self._pilot_at_us)
+            self.has_pilot = age_us < self.config.pilot_fresh_ms * 1000
         if self.state == "ACTIVE" and self._is_timed_out(now_us, self.config.host_timeout_ms):
             self.state = "LOST"
         if self.config.silent_after_ms and self.state in ("SAFE", "LOST"):
@@ -172,12 +210,40 @@ class Safety:
             self._edge_us, self._engaged_frames = now_us, 0
         if self._edge_us is not None:
             self._engaged_frames += 1
-            if self._engaged_frames >= self.config.engage_frames:
+            if not self._matches():
+                self._edge_us = None
+            elif self._engaged_frames >= self.config.engage_frames:
                 self.state, self._edge_us = "ACTIVE", None
+                self._reference_us = self._pilot_us if self.has_pilot else None
+
+    def _matches(self) -> bool:
+        """Whether the command may engage: near the pilot's sticks, or idle and neutral."""
+        c = self.config
+        if not self.has_pilot and c.engage_without_pilot:
+            return True
+        limits = [c.engage_near_us] * c.channels
+        if not self.has_pilot:
+            limits[c.throttle_channel] = c.engage_idle_us
+        sticks = self._pilot_us if self.has_pilot else c.safe_us
+        return all(
+            abs(ours - theirs) <= limit
+            for ours, theirs, limit in zip(self._target_us, sticks, limits, strict=False)
+        )
+
+    def _judge_pilot(self, now_us: int, pilot_us: tuple[int, ...]) -> None:
+        """A frame of the pilot's radio: in ACTIVE a stick that moved leads to SAFE."""
+        self.has_pilot, self._pilot_us, self._pilot_at_us = True, pilot_us, now_us
+        if self.state != "ACTIVE":
+            return
+        if self._reference_us is None:
+            self._reference_us = pilot_us
+        moved_us = max(abs(a - b) for a, b in zip(pilot_us, self._reference_us, strict=True))
+        if moved_us > self.config.pilot_moved_us:
+            self.state, self.pilot_took_over = "SAFE", True
 
     def _process_hand_back(self) -> None:
         """A valid frame with engage = 0 leads to SAFE, from FAULT only after the hold-off."""
-        self._edge_us = None
+        self._edge_us, self.pilot_took_over = None, False
         if self.state in ("ACTIVE", "LOST") or (self.state == "FAULT" and not self._is_holding_off):
             self.state, self.fault = "SAFE", "none"
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falconwing_kit.core.checks import Array, InputError, require_file
+from falconwing_kit.core.checks import InputError, require_file
 from falconwing_kit.core.files import short_name
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.vision.images import Pixels, require_image
@@ -119,12 +119,15 @@ class Policy:
         return policy
 
     @property
+    def channels(self) -> int:
+        """Of the image that `encode` takes."""
+        return CHANNELS[self.shape.sees]
+
+    @property
     def camera(self) -> PinholeCamera:
         """The camera that the policy was trained for."""
         focal, width, height = self.record.focal, self.shape.width, self.shape.height
-        return PinholeCamera(
-            focal * width, focal * width, 0.5 * width, 0.5 * height, width, height
-        )
+        return PinholeCamera(focal * width, focal * width, 0.5 * width, 0.5 * height, width, height)
 
     def resample(self, image: Pixels, camera: PinholeCamera) -> Array32:
         """An image (H, W, 3) as the trained camera would take it: (h, w, 3) in 0..1.

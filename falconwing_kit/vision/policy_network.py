@@ -71,9 +71,7 @@ class PolicyNetwork(nn.Module):
     def encode(self, images: Tensor) -> Tensor:
         """Features (N, F) of images (N, C, h, w) in 0..1: red, green, blue, mask."""
         maps = self.units(standardise(images))
-        return functional.layer_norm(
-            self.features(maps.flatten(1)).float(), (self.shape.features,)
-        )
+        return functional.layer_norm(self.features(maps.flatten(1)).float(), (self.shape.features,))
 
     def forward(
         self, features: Tensor, inputs: Tensor, memory: Tensor | None = None
@@ -101,12 +99,17 @@ class PolicyNetwork(nn.Module):
         """The arrays of `Policy`, batch normalisation folded in."""
         found: dict[str, Tensor] = {}
         for layer, unit in enumerate(self.units):
-            found[f"conv{layer}.weight"], found[f"conv{layer}.bias"] = unit.folded()
-        dense = {"features": self.features, "head": self.head, "commands": self.commands}
+            if isinstance(unit, ConvUnit):
+                found[f"conv{layer}.weight"], found[f"conv{layer}.bias"] = unit.folded()
+        dense: dict[str, nn.Linear] = {
+            "features": self.features,
+            "head": self.head,
+            "commands": self.commands,
+        }
         if self.mix is not None:
             dense["mix"] = self.mix
-        for name, layer in dense.items():
-            found |= {f"{name}.weight": layer.weight, f"{name}.bias": layer.bias}
+        for name, linear in dense.items():
+            found |= {f"{name}.weight": linear.weight, f"{name}.bias": linear.bias}
         if self.memory is not None:
             for part in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
                 found[f"memory.{part}"] = getattr(self.memory, f"{part}_l0")

@@ -51,7 +51,7 @@ template <class Values>
 void fields(Values& values, Status& m) {
   values(m.version), values(m.device_time_us), values(m.state), values(m.fault), values(m.boot_count);
   values(m.reset_cause), values(m.last_sequence), values(m.accepted), values(m.bad_frames), values(m.bad_sequence);
-  values(m.out_of_range), values(m.ppm_frames), values(m.silent), values(m.n), channels(values, m);
+  values(m.out_of_range), values(m.ppm_frames), values(m.flags), values(m.n), channels(values, m);
 }
 template <class Values>
 void fields(Values& values, Pilot& m) {
@@ -99,13 +99,23 @@ int safety_frame(void* safety, uint32_t now_us, uint16_t sequence, int engage, c
   const uint8_t count = n >= 0 && n <= MAX_CHANNELS ? static_cast<uint8_t>(n) : 0;
   return static_cast<int>(safety_of(safety)->frame(now_us, sequence, engage != 0, channels_us, count));
 }
-int safety_tick(void* safety, uint32_t now_us, uint16_t* slots_us) {
-  safety_of(safety)->tick(now_us);
+int safety_tick(void* safety, uint32_t now_us, const uint16_t* pilot_us, int n, uint16_t* slots_us) {
+  Pilot pilot = Pilot();
+  pilot.n = n >= 0 && n <= MAX_CHANNELS ? static_cast<uint8_t>(n) : 0;
+  for (int i = 0; i < pilot.n; ++i) pilot.channels_us[i] = pilot_us[i];
+  safety_of(safety)->tick(now_us, pilot.n > 0 ? &pilot : nullptr);
   for (int i = 0; i < CHANNELS; ++i) slots_us[i] = safety_of(safety)->slots_us()[i];
   return safety_of(safety)->silent();
 }
 int safety_state(const void* safety) { return static_cast<int>(safety_of(safety)->state()); }
 int safety_fault(const void* safety) { return static_cast<int>(safety_of(safety)->fault()); }
+int safety_has_pilot(const void* safety) { return safety_of(safety)->has_pilot(); }
+int safety_pilot_took_over(const void* safety) { return safety_of(safety)->pilot_took_over(); }
+int safety_size(void) { return static_cast<int>(sizeof(Safety)); }
+void safety_flip(void* safety, int byte, int bit) {
+  uint8_t* bytes = static_cast<uint8_t*>(safety);
+  bytes[byte] = static_cast<uint8_t>(bytes[byte] ^ (1u << bit));
+}
 int safety_engage_frames(const void* safety) { return safety_of(safety)->engage_frames(); }
 uint16_t safety_last_sequence(const void* safety) { return safety_of(safety)->last_sequence(); }
 uint32_t safety_accepted(const void* safety) { return safety_of(safety)->accepted(); }

@@ -17,10 +17,15 @@ void* safety_new(uint32_t now_us, int stalled);
 void safety_free(void* safety);
 /* 0 accepted, 1 sequence does not advance, 2 out of range, 3 wrong number of channels. */
 int safety_frame(void* safety, uint32_t now_us, uint16_t sequence, int engage, const uint16_t* channels_us, int n);
-/* Writes CHANNELS slots [us]; returns 1 for no pulses. */
-int safety_tick(void* safety, uint32_t now_us, uint16_t* slots_us);
+/* pilot_us: n slots of the pilot's frame measured since the last tick; n 0 for none. Writes CHANNELS slots [us];
+ * returns 1 for no pulses. */
+int safety_tick(void* safety, uint32_t now_us, const uint16_t* pilot_us, int n, uint16_t* slots_us);
 int safety_state(const void* safety);         /* 0 BOOT 1 SAFE 2 ACTIVE 3 LOST 4 FAULT */
-int safety_fault(const void* safety);         /* 0 none 1 range 2 stall */
+int safety_fault(const void* safety);         /* 0 none 1 range 2 stall 3 memory */
+int safety_has_pilot(const void* safety);
+int safety_pilot_took_over(const void* safety);
+int safety_size(void);                        /* bytes of the object */
+void safety_flip(void* safety, int byte, int bit); /* disturb its memory */
 int safety_engage_frames(const void* safety); /* commands since the edge of engage, that one included; 0: no edge */
 uint16_t safety_last_sequence(const void* safety);
 uint32_t safety_accepted(const void* safety);
@@ -30,7 +35,7 @@ uint16_t safety_out_of_range(const void* safety);
 /* ---- link.h: values are the message's fields in order of transmission, without the type; arrays follow last ----
  * COMMAND: sequence, flags, channels...   SYNC: token   SYNC_REPLY: token, received_us, sent_us
  * STATUS: version, device_time_us, state, fault, boot_count, reset_cause, last_sequence, accepted, bad_frames,
- *         bad_sequence, out_of_range, ppm_frames, silent, n, channels...
+ *         bad_sequence, out_of_range, ppm_frames, flags, n, channels...
  * PILOT: device_time_us, source, rejected, n, channels... */
 /* Message -> frame with its zero byte (room for 65 bytes); returns its size, 0 for an unknown type or wrong count. */
 int link_encode(int type, const uint32_t* values, int count, uint8_t* frame);

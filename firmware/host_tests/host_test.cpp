@@ -192,13 +192,20 @@ void messages_come_back_as_they_were() {
   std::printf("%d messages encoded and decoded: all unchanged\n", ROUND_TRIPS);
 }
 
-// For any input the output is safe unless ACTIVE, and in ACTIVE every slot keeps its limits and slew rate.
+// For any input the output is safe unless ACTIVE, and in ACTIVE every slot keeps its limits and slew rate. Half of the
+// hosts ask with the pilot's sticks and then command anything; the pilot moves a stick now and then.
 void slots_stay_within_limits() {
+  int flown = 0;
   for (int trace = 0; trace < TRACES; ++trace) {
     Safety safety;
     uint32_t now_us = below(2) ? uint32_t(rng()) : 0u - below(3000000);  // half of them wrap
     uint16_t sequence = uint16_t(below(65536)), before[CHANNELS];
     bool engage = false;
+    const bool asks_near = below(2) != 0;
+    int entries = 0;
+    Pilot pilot = Pilot(), measured;
+    pilot.n = CHANNELS;
+    for (uint8_t i = 0; i < CHANNELS; ++i) pilot.channels_us[i] = uint16_t(1000 + below(1001));
     safety.begin(now_us, below(4) == 0);
     for (int step = 0; step < STEPS_PER_TRACE; ++step) {
       now_us += below(50) == 0 ? 190000 + below(20000) : below(30000);
@@ -206,9 +213,23 @@ void slots_stay_within_limits() {
       Command command = random_command();
       sequence = uint16_t(sequence + (below(20) == 0 ? below(65536) : 1));
       if (below(15) == 0) command.channels_us[below(4)] = uint16_t(below(65536));
+      if (asks_near && safety.state() != State::ACTIVE) {
+        for (uint8_t i = 0; i < CHANNELS; ++i) command.channels_us[i] = pilot.channels_us[i];
+      }
+      if (below(500) == 0) pilot.channels_us[below(CHANNELS)] = uint16_t(1000 + below(1001));
+      const State state_before = safety.state();
       if (below(3) > 0) safety.frame(now_us, sequence, engage, command.channels_us, below(9) ? CHANNELS : command.n);
+      if (state_before != State::ACTIVE && safety.state() == State::ACTIVE) {
+        ++entries;
+        for (uint8_t i = 0; safety.has_pilot() && i < CHANNELS; ++i) {
+          const int away = command.channels_us[i] - measured.channels_us[i];
+          claim(std::abs(away) <= ENGAGE_NEAR_US, "the host takes over near the pilot's sticks");
+        }
+      }
       for (uint8_t i = 0; i < CHANNELS; ++i) before[i] = safety.slots_us()[i];
-      safety.tick(now_us);
+      const bool is_measured = below(4) != 0;
+      if (is_measured) measured = pilot;
+      safety.tick(now_us, is_measured ? &pilot : nullptr);
       for (uint8_t i = 0; i < CHANNELS; ++i) {
         const int slot = safety.slots_us()[i], change = std::abs(slot - before[i]);
         claim(safety.state() == State::ACTIVE || slot == SAFE_US[i], "the output is safe unless ACTIVE");
@@ -217,7 +238,9 @@ void slots_stay_within_limits() {
         claim(safety.state() != State::ACTIVE || change <= SLEW_US, "a slot changes by SLEW_US at most");
       }
     }
+    flown += entries;
   }
+  claim(flown > TRACES / 4, "the traces reach ACTIVE");
   std::printf("%d traces of %d steps: every slot safe or within its limits\n", TRACES, STEPS_PER_TRACE);
 }
 

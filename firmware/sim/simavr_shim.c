@@ -11,6 +11,9 @@
  *    from the matches and COM1A (on_match). Its changes at wraps are counted (on_oc_pin);
  *  - it has no FOC1A, the match by hand (on_force);
  *  - a write to PORTB shows on PB5 although the timer owns that pin; ignored then (on_port);
+ *  - it stops where silicon goes on: asleep with interrupts off, or outside flash or memory. After a disturbed bit
+ *    (sim_flip) the chip then stands still until its watchdog resets it;
+ *  - it does not compare a pin's direction with its level (on_direction);
  *  - during a reset its pins keep their level; on hardware the resistors define it;
  *  - there is no bootloader: the sketch starts immediately.
  */
@@ -26,9 +29,11 @@
 #include "sim_elf.h"
 
 enum { CLOCK_HZ = 16000000, UARTS = 2, RAM_START = 0x200 };
+enum { SPL = 0x5D, SREG = 0x5F, WDTCSR = 0x60, WDE = 0x08, DDRB = 0x24, PORTB = 0x25, PB5 = 0x20, VECTOR_BYTES = 4 };
 enum { TCCR1A = 0x80, TCCR1C = 0x82, FOC1A = 0x80, TIMER1_COMPA = 17, TIMER1_TICK = 8 };
 enum { NINTHS = 9, BYTE_NINTHS = 12500 }; /* ten bits at 115200 baud are 12500 / 9 cycles of 16 MHz */
-enum { LONGEST_RUN = 1000000, JUMP_TO_ITSELF = 0xCFFF };
+enum { LONGEST_RUN = 1000000, STANDSTILL = 160, JUMP_TO_ITSELF = 0xCFFF, RETURN_FROM_INTERRUPT = 0x9518 };
+enum { LOOP, PULSES, PARTS };
 enum { ARTEFACTS, OVERRUNS, WATCHDOG_RESETS, COUNTERS };
 
 typedef struct { /* events at a cycle: bytes of a line or levels of a pin, oldest first */
@@ -56,9 +61,10 @@ struct board {
     queue sent, edges, pilot;
     uint64_t until;
     uint32_t counters[COUNTERS];
-    uint32_t loop_address; /* byte address of loop() in flash; 0 if the ELF does not contain it */
-    uint16_t loop_code;    /* its first instruction, while the jump replaces it */
-    int hung, pin_level;
+    uint32_t part_address[PARTS]; /* bytes in flash: loop(), 0 if the ELF does not contain it; Timer1's vector */
+    uint16_t part_code[PARTS];    /* the first instruction there, while another one replaces it */
+    int stopped[PARTS], is_flipped;
+    int oc_level, pin_level; /* of the timer's output, and of the pin */
     void (*core_reset)(avr_t *);
 };
 
@@ -133,13 +139,21 @@ static void on_sent(avr_irq_t *irq, uint32_t value, void *parameter) {
 /* ---- pins ---- */
 
 static void set_pin(board *b, int level) {
+    b->oc_level = level;
+    if (!(b->avr->data[DDRB] & PB5)) return; /* an input keeps its level: the resistors define it */
     if (level != b->pin_level) push(&b->edges, b->avr->cycle, level);
     b->pin_level = level;
 }
 
+static void on_direction(avr_irq_t *irq, uint32_t directions, void *parameter) {
+    board *b = parameter;
+    (void)irq, (void)directions;
+    set_pin(b, b->oc_level);
+}
+
 static void act_on_match(board *b) { /* table 17-3: COM1A 1 toggles the pin, 2 clears and 3 sets it */
     int com = b->avr->data[TCCR1A] >> 6;
-    if (com) set_pin(b, com == 1 ? !b->pin_level : com == 3);
+    if (com) set_pin(b, com == 1 ? !b->oc_level : com == 3);
 }
 
 static void on_match(avr_irq_t *irq, uint32_t pending, void *parameter) {
@@ -156,7 +170,7 @@ static void on_oc_pin(avr_irq_t *irq, uint32_t level, void *parameter) {
     board *b = parameter;
     (void)irq;
     int at_wrap = b->avr->cycle - b->timer1->tov_base < TIMER1_TICK;
-    if (at_wrap && (int)(level & 1) != b->pin_level) b->counters[ARTEFACTS]++;
+    if (at_wrap && (int)(level & 1) != b->oc_level) b->counters[ARTEFACTS]++;
 }
 
 static void on_port(avr_irq_t *irq, uint32_t level, void *parameter) {
@@ -192,8 +206,8 @@ static void arm(board *b) { /* a reset clears all timers of the simulator, inclu
     if (!is_empty(&b->pilot)) call_at(b, next_at(&b->pilot), on_pilot, b);
 }
 
-static uint16_t swap_code(board *b, uint16_t code) {
-    uint8_t *place = b->avr->flash + b->loop_address;
+static uint16_t swap_code(board *b, uint32_t address, uint16_t code) {
+    uint8_t *place = b->avr->flash + address;
     uint16_t old = place[0] | place[1] << 8;
     place[0] = code & 0xFF, place[1] = code >> 8;
     return old;
@@ -202,8 +216,11 @@ static uint16_t swap_code(board *b, uint16_t code) {
 static void on_reset(avr_t *avr) {
     board *b = avr->custom.data;
     if (b->core_reset) b->core_reset(avr);
-    if (b->hung) swap_code(b, b->loop_code);
-    b->hung = b->lines[0].is_waiting = b->lines[1].is_waiting = 0;
+    for (int i = 0; i < PARTS; i++) {
+        if (b->stopped[i]) swap_code(b, b->part_address[i], b->part_code[i]);
+        b->stopped[i] = 0;
+    }
+    b->lines[0].is_waiting = b->lines[1].is_waiting = 0;
     arm(b);
 }
 
@@ -214,7 +231,11 @@ int sim_run(board *b, uint64_t until) {
         avr_run_t usual = b->avr->run;
         b->avr->run_cycle_limit = LONGEST_RUN; /* many instructions a call; a reset puts 1 */
         int state = avr_run(b->avr);
-        if (state == cpu_Done || state == cpu_Crashed || state == cpu_Stopped) return state;
+        if (state == cpu_Done || state == cpu_Crashed || state == cpu_Stopped) {
+            if (!b->is_flipped || !(b->avr->data[WDTCSR] & WDE)) return state;
+            b->avr->state = cpu_Sleeping, b->avr->sreg[S_I] = 0;
+            b->avr->cycle += STANDSTILL;
+        }
         if (usual != avr_callback_run_raw) b->counters[WATCHDOG_RESETS]++;
     }
     return 0;
@@ -248,6 +269,7 @@ static void connect_pins(board *b) {
     avr_irq_register_notify(avr_get_interrupt_irq(avr, TIMER1_COMPA) + AVR_INT_IRQ_PENDING, on_match, b);
     avr_register_io_write(avr, TCCR1C, on_force, b);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), 5), on_port, b);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), IOPORT_IRQ_DIRECTION_ALL), on_direction, b);
     b->pilot_pin = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('L'), 0);
     avr_raise_irq(b->pilot_pin, 1); /* an open input with its pull-up is high */
 }
@@ -269,7 +291,8 @@ board *sim_open(const char *elf_path, uint32_t seed) {
     for (uint32_t i = RAM_START; i <= avr->ramend; i++) /* random memory at power-on */
         avr->data[i] = (seed = seed * 1664525u + 1013904223u) >> 24;
     for (uint32_t i = 0; i < elf.symbolcount; i++)
-        if (!strcmp(elf.symbol[i]->symbol, "loop")) b->loop_address = elf.symbol[i]->addr;
+        if (!strcmp(elf.symbol[i]->symbol, "loop")) b->part_address[LOOP] = elf.symbol[i]->addr;
+    b->part_address[PULSES] = TIMER1_COMPA * VECTOR_BYTES;
     connect_pins(b);
     avr->custom.data = b;
     b->core_reset = avr->reset;
@@ -280,6 +303,7 @@ board *sim_open(const char *elf_path, uint32_t seed) {
 const char *sim_error(void) { return last_error; }
 uint64_t sim_cycle(const board *b) { return b->avr->cycle; }
 int sim_pin(const board *b) { return b->pin_level; }
+int sim_led(const board *b) { return b->avr->data[PORTB] >> 7 & 1; } /* pin 13 is PB7 */
 uint32_t sim_counter(const board *b, int which) { return b->counters[which]; }
 
 void sim_send(board *b, int uart, const uint8_t *bytes, size_t count) {
@@ -306,11 +330,33 @@ size_t sim_take_edges(board *b, uint64_t *at, uint8_t *levels, size_t most) {
     return count;
 }
 
-int sim_hang(board *b) { /* the next call of loop() never returns; interrupts continue; a reset ends it */
-    if (!b->loop_address) return -1;
-    if (!b->hung) b->loop_code = swap_code(b, JUMP_TO_ITSELF);
-    b->hung = 1;
+/* Part 0, the next call of loop() never returns; 1, Timer1's interrupt does nothing. A reset ends it. */
+int sim_stop(board *b, int part) {
+    static const uint16_t instead[PARTS] = {JUMP_TO_ITSELF, RETURN_FROM_INTERRUPT};
+    if (!b->part_address[part]) return -1;
+    if (!b->stopped[part]) b->part_code[part] = swap_code(b, b->part_address[part], instead[part]);
+    b->stopped[part] = 1;
     return 0;
+}
+
+int sim_peek(const board *b, uint16_t address) { return b->avr->data[address]; }
+
+/* Turn one bit over, of a register, an I/O register (with what the write changes in the chip) or of memory. */
+void sim_flip(board *b, uint16_t address, uint8_t bit) {
+    avr_t *avr = b->avr;
+    uint8_t value = avr->data[address] ^ (1 << bit);
+    avr_io_write_t write = NULL;
+    b->is_flipped = 1;
+    if (address == SREG) {
+        avr->sreg[bit] ^= 1;
+        return;
+    }
+    if (address >= 32 && address < RAM_START && address != SPL && address != SPL + 1)
+        write = avr->io[AVR_DATA_TO_IO(address)].w.c;
+    if (write)
+        write(avr, address, value, avr->io[AVR_DATA_TO_IO(address)].w.param);
+    else
+        avr->data[address] = value;
 }
 
 void sim_reset(board *b) { /* the reset button, or a host that opens the port: memory stays */

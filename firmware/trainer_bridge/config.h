@@ -55,11 +55,30 @@
 #ifndef ENGAGE_WINDOW_MS
 #define ENGAGE_WINDOW_MS 500  // and all of them within this time
 #endif
+#ifndef ENGAGE_NEAR_US
+#define ENGAGE_NEAR_US 100  // engage only within this of the pilot's slots, or of neutral where none are measured
+#endif
+#ifndef ENGAGE_IDLE_US
+#define ENGAGE_IDLE_US 20  // and of idle, for the throttle where no pilot is measured
+#endif
+#ifndef ENGAGE_WITHOUT_PILOT
+#define ENGAGE_WITHOUT_PILOT 0  // 1: engage at any command where no pilot is measured; STATUS says so
+#endif
+#ifndef PILOT_MOVED_US
+#define PILOT_MOVED_US 120  // a pilot's slot further from where it was at the engagement: SAFE. 12 % of 1000 us.
+#endif
+#ifndef PILOT_FRESH_MS
+#define PILOT_FRESH_MS 100  // a pilot's frame older than this is no measurement; radios send one every 11 to 22 ms
+#endif
 #ifndef SILENT_AFTER_MS
 #define SILENT_AFTER_MS 0  // timeout of valid commands: no pulses, for radios that detect this. 0: never.
 #endif
 #ifndef RANGE_FAULT_FRAMES
 #define RANGE_FAULT_FRAMES 5  // commands out of range within a second that lead to FAULT
+#endif
+
+#ifndef BUZZER_PIN
+#define BUZZER_PIN 0  // an active buzzer on this pin sounds twice a second while the host is LOST. 0: none.
 #endif
 
 // ---- messages to the host ----
@@ -75,6 +94,18 @@
 
 constexpr uint16_t SAFE_US[8] = {SAFE_SLOTS_US};
 
+// The safe slot of a channel, as numbers in the code: the chip keeps a table in its memory, where a bit may flip.
+inline uint16_t safe_us(uint8_t channel) {
+  return channel == 0   ? SAFE_US[0]
+         : channel == 1 ? SAFE_US[1]
+         : channel == 2 ? SAFE_US[2]
+         : channel == 3 ? SAFE_US[3]
+         : channel == 4 ? SAFE_US[4]
+         : channel == 5 ? SAFE_US[5]
+         : channel == 6 ? SAFE_US[6]
+                        : SAFE_US[7];
+}
+
 // ---- combinations that cannot work do not compile ----
 constexpr int32_t SHORTEST_SYNC_US = int32_t(FRAME_US) - int32_t(CHANNELS) * CHANNEL_MAX_US;
 constexpr int32_t LONGEST_SYNC_US = int32_t(FRAME_US) - int32_t(CHANNELS) * CHANNEL_MIN_US;
@@ -86,8 +117,8 @@ static_assert(CHANNELS >= 4 && CHANNELS <= 8, "CHANNELS: 4 to 8 slots");
 static_assert(SHORTEST_SYNC_US >= 4000, "the pause is under 4 ms: reduce CHANNELS or increase FRAME_US");
 static_assert(LONGEST_SYNC_US <= 19000, "the pause is over 19 ms: reduce FRAME_US");
 static_assert(FRAME_US <= 32000, "FRAME_US: the 16 bit timer counts to 32.7 ms");
-static_assert(GAP_PULSE_US >= 200 && GAP_PULSE_US + 200 <= CHANNEL_MIN_US,
-              "GAP_PULSE_US: the interrupt needs 200 us between two edges");
+static_assert(GAP_PULSE_US >= 250 && GAP_PULSE_US + 250 <= CHANNEL_MIN_US,
+              "GAP_PULSE_US: the interrupt needs 250 us between two edges");
 static_assert(VALID_MIN_US <= CHANNEL_MIN_US && CHANNEL_MIN_US < CHANNEL_MAX_US && CHANNEL_MAX_US <= VALID_MAX_US,
               "expected VALID_MIN_US <= CHANNEL_MIN_US < CHANNEL_MAX_US <= VALID_MAX_US");
 static_assert(safe_from(0), "SAFE_SLOTS_US: each slot between CHANNEL_MIN_US and CHANNEL_MAX_US");
@@ -96,6 +127,13 @@ static_assert(SAFE_US[THROTTLE_CHANNEL] <= THROTTLE_CEILING_US, "THROTTLE_CEILIN
 static_assert(SLEW_US > 0 && ENGAGE_FRAMES > 0 && ENGAGE_FRAMES < 256 && RANGE_FAULT_FRAMES > 0,
               "SLEW_US, ENGAGE_FRAMES (up to 255) and RANGE_FAULT_FRAMES: at least 1");
 static_assert(HOST_TIMEOUT_MS >= 50 && HOST_TIMEOUT_MS <= 1000, "HOST_TIMEOUT_MS: 50 to 1000");
+static_assert(ENGAGE_NEAR_US >= 0 && ENGAGE_IDLE_US >= 0 && ENGAGE_NEAR_US <= PILOT_MOVED_US && PILOT_MOVED_US <= 500,
+              "expected 0 <= ENGAGE_NEAR_US <= PILOT_MOVED_US <= 500, and ENGAGE_IDLE_US from 0");
+static_assert(ENGAGE_WITHOUT_PILOT == 0 || ENGAGE_WITHOUT_PILOT == 1, "ENGAGE_WITHOUT_PILOT: 0 or 1");
+static_assert(PILOT_FRESH_MS >= 50 && PILOT_FRESH_MS <= 500, "PILOT_FRESH_MS: 50 to 500");
+static_assert(BUZZER_PIN == 0 || (BUZZER_PIN >= 2 && BUZZER_PIN <= 53 && BUZZER_PIN != 11 && BUZZER_PIN != 19 &&
+                                  BUZZER_PIN != 49),
+              "BUZZER_PIN: 0, or a pin from 2 to 53 other than 11, 19 and 49");
 static_assert(SILENT_AFTER_MS == 0 || SILENT_AFTER_MS >= HOST_TIMEOUT_MS, "SILENT_AFTER_MS: 0, or after HOST_TIMEOUT_MS");
 static_assert(STATUS_HZ >= 1 && STATUS_HZ <= 50, "STATUS_HZ: 1 to 50");
 static_assert(PILOT_SOURCE >= 0 && PILOT_SOURCE <= 2, "PILOT_SOURCE: 0, 1 or 2");

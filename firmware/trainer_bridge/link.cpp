@@ -69,7 +69,7 @@ void layout(Bytes& bytes, Status& m) {
   bytes.u8(m.version), bytes.u32(m.device_time_us), bytes.u8(m.state), bytes.u8(m.fault);
   bytes.u8(m.boot_count), bytes.u8(m.reset_cause), bytes.u16(m.last_sequence), bytes.u32(m.accepted);
   bytes.u16(m.bad_frames), bytes.u16(m.bad_sequence), bytes.u16(m.out_of_range), bytes.u32(m.ppm_frames);
-  bytes.u8(m.silent), bytes.counted(m.n, m.channels_us);
+  bytes.u8(m.flags), bytes.counted(m.n, m.channels_us);
 }
 template <class Bytes>
 void layout(Bytes& bytes, Pilot& m) {

@@ -8,7 +8,7 @@
 
 constexpr uint8_t MAX_CHANNELS = 8;
 constexpr uint8_t MAX_FRAME = 64;  // bytes before the zero; a longer frame is dropped up to its zero
-constexpr uint8_t PROTOCOL_VERSION = 1;
+constexpr uint8_t PROTOCOL_VERSION = 2;
 
 // Host -> board: set values of the slots [us].
 struct Command {
@@ -29,6 +29,7 @@ struct Sync {
 // Board -> host: state and counters of the board. Counters wrap.
 struct Status {
   static constexpr uint8_t TYPE = 0x11;
+  static constexpr uint8_t SILENT = 1, ENGAGES_WITHOUT_PILOT = 2, HAS_PILOT = 4, PILOT_TOOK_OVER = 8;  // of flags
   uint8_t version;
   uint32_t device_time_us;
   uint8_t state, fault;            // safety.h
@@ -37,7 +38,7 @@ struct Status {
   uint32_t accepted;
   uint16_t bad_frames, bad_sequence, out_of_range;
   uint32_t ppm_frames;
-  uint8_t silent;
+  uint8_t flags;  // bits below
   uint8_t n;
   uint16_t channels_us[MAX_CHANNELS];
 };

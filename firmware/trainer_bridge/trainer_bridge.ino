@@ -4,7 +4,9 @@
 //   pin 11  PPM out (OC1A)              the timer itself makes each edge; the interrupt only prepares the next one
 //   pin 49  PPM in (ICP4)               the pilot's channels, if the radio outputs PPM
 //   pin 19  Spektrum serial in (RX1)    the pilot's channels, from a remote receiver
+//   pin 13  LED out                     on while ACTIVE; `falconwing bench` measures the camera's delay by it
 //   USB     115200 8N1                  the computer
+//   any     BUZZER_PIN                  an active buzzer that sounds in LOST, if set in config.h
 //
 // This file contains pins, registers and interrupts. All decisions are in safety, link, ppm_out and ppm_in, which do
 // not depend on Arduino. "Data sheet" is ATmega640/1280/1281/2560/2561, Microchip DS40002211.
@@ -21,14 +23,18 @@
 constexpr uint8_t PPM_OUT_PIN = 11, PPM_IN_PIN = 49, SPEKTRUM_PIN = 19;
 constexpr uint32_t STATUS_PERIOD_US = 1000000UL / STATUS_HZ;
 constexpr uint8_t LARGEST_FRAME = 48;  // STATUS with eight channels; the core buffers 63 bytes
-constexpr uint8_t HUNG_TICKS = 150000UL / FRAME_US;  // a pass of loop() takes well under 2 ms
+constexpr uint8_t HUNG_MS = 150;  // a pass of loop() takes well under 2 ms, a PPM frame 22
+constexpr uint8_t HUNG_TICKS = 1000UL * HUNG_MS / FRAME_US;
 
 // Shared with the interrupts: loop() touches these inside ATOMIC_BLOCK only.
 Safety safety;
 PpmOut ppm_out;
 PilotPpm pilot_ppm;
-volatile bool pilot_ppm_ready = false;
+volatile bool pilot_ppm_ready = false;  // to be sent to the host
+Pilot pilot;                            // the newest frame of either source, for the next tick
+volatile bool pilot_ready = false;
 volatile uint8_t ticks_without_loop = 0;
+volatile bool ticked = false;  // since loop() last fed the watchdog
 
 // Used by loop() only.
 Receiver receiver;
@@ -77,6 +83,9 @@ bool begin_kept() {
 constexpr uint8_t SET_PIN = _BV(COM1A1) | _BV(COM1A0), CLEAR_PIN = _BV(COM1A1);
 constexpr uint8_t TO_IDLE = POLARITY ? SET_PIN : CLEAR_PIN, TO_PULSE = POLARITY ? CLEAR_PIN : SET_PIN;
 
+// TIMSK1 and TCCR1B while pulses are made: interrupt at each match; normal mode, 16 MHz / 8.
+constexpr uint8_t PPM_OUT_INTERRUPTS = _BV(OCIE1A), PPM_OUT_CLOCK = _BV(CS11);
+
 void begin_ppm_out() {
   TCCR1B = 0;  // stop: the core has configured the timer for analogWrite()
   TCCR1A = TO_IDLE;
@@ -85,8 +94,8 @@ void begin_ppm_out() {
   TCNT1 = 0;
   OCR1A = FRAME_US * uint16_t(TICKS_PER_US);
   TIFR1 = _BV(OCF1A);
-  TIMSK1 = _BV(OCIE1A);
-  TCCR1B = _BV(CS11);  // 16 MHz / 8
+  TIMSK1 = PPM_OUT_INTERRUPTS;
+  TCCR1B = PPM_OUT_CLOCK;
 }
 
 // If loop() hangs, the safety machine gets no commands and outputs the safe slots; then the watchdog resets the
@@ -98,11 +107,13 @@ void watch_loop() {
 }
 
 // An edge has just been made. The next is at least GAP_PULSE_US away, which is sufficient: with eight channels and a
-// full serial line this begins at most 31 us late (atomic blocks, other interrupts) and takes at most 43 us (measured
+// full serial line this begins at most 60 us late (atomic blocks, other interrupts) and takes at most 120 us (measured
 // in the simulated chip).
 ISR(TIMER1_COMPA_vect) {
   if (ppm_out.at_frame_start()) {
-    safety.tick(micros());
+    safety.tick(micros(), pilot_ready ? &pilot : nullptr);
+    pilot_ready = false;
+    ticked = true;
     watch_loop();
   }
   const PpmOut::Edge edge = ppm_out.next(safety.slots_us(), safety.silent());
@@ -113,18 +124,76 @@ ISR(TIMER1_COMPA_vect) {
 // ---- PPM in: Timer4 copies its count at each falling edge (data sheet 17.6 input capture unit) ----
 
 // Falling edges serve both polarities: the time between the ends of two pulses is also a slot.
+constexpr uint8_t PPM_IN_INTERRUPTS = PILOT_SOURCE != 1 ? _BV(ICIE4) : 0;
+constexpr uint8_t PPM_IN_CLOCK = _BV(ICNC4) | _BV(CS41);  // noise canceller, falling edge, 16 MHz / 8
+
 void begin_ppm_in() {
   pinMode(PPM_IN_PIN, INPUT_PULLUP);  // an open pin must not pick up noise
   TCCR4A = 0;
-  TCCR4B = _BV(ICNC4) | _BV(CS41);  // noise canceller, falling edge, 16 MHz / 8
+  TCCR4B = PPM_IN_CLOCK;
   TIFR4 = _BV(ICF4);
-  TIMSK4 = _BV(ICIE4);
+  TIMSK4 = PPM_IN_INTERRUPTS;
 }
 
 ISR(TIMER4_CAPT_vect) {
   const uint16_t capture = ICR4;
   const uint16_t age = TCNT4 - capture;
-  if (pilot_ppm.edge(capture, micros() - age / TICKS_PER_US)) pilot_ppm_ready = true;
+  if (!pilot_ppm.edge(capture, micros() - age / TICKS_PER_US)) return;
+  pilot = pilot_ppm.pilot;
+  pilot_ready = pilot_ppm_ready = true;
+}
+
+// The newest frame of either source goes to the next tick, which compares the sticks.
+void take_spektrum(uint8_t byte) {
+  if (!pilot_spektrum.byte(byte, micros(), CHANNELS)) return;
+  pilot_spektrum_ready = true;
+  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+    pilot = pilot_spektrum.pilot;
+    pilot_ready = true;
+  }
+}
+
+// ---- against disturbed registers and memory ----
+
+// The watchdog restarts the board 250 ms after the pulse interrupt or loop() has stopped: only loop() feeds it, and
+// only if the pulse interrupt has run since. The mark records the reason for the next boot (begin_kept).
+void feed_watchdog() {
+  static uint16_t fed_ms = 0;
+  const uint16_t now_ms = uint16_t(millis());
+  if (ticked) {
+    ticked = false;
+    fed_ms = now_ms;
+    wdt_reset();
+  } else if (uint16_t(now_ms - fed_ms) > HUNG_MS) {
+    keep(boot_count, true);
+  }
+}
+
+void hold(volatile uint8_t& reg, uint8_t value) {
+  if (reg != value) reg = value;
+}
+
+// Registers are set once and would keep a disturbance for good, so every pass of loop() sets them again.
+void hold_registers() {
+  pinMode(PPM_OUT_PIN, OUTPUT);
+  hold(TIMSK1, PPM_OUT_INTERRUPTS);
+  hold(TCCR1B, PPM_OUT_CLOCK);
+  hold(TIMSK0, _BV(TOIE0));  // the core's clock, micros()
+  hold(TCCR0A, _BV(WGM01) | _BV(WGM00));
+  hold(TCCR0B, _BV(CS01) | _BV(CS00));
+  hold(TIMSK4, PPM_IN_INTERRUPTS);
+  if (PPM_IN_INTERRUPTS != 0) {
+    hold(TCCR4A, 0);
+    hold(TCCR4B, PPM_IN_CLOCK);
+  }
+}
+
+// An interrupt that nobody has enabled: only a reset sets the registers of the whole chip right.
+ISR(BADISR_vect) {
+  wdt_enable(WDTO_15MS);
+  wdt_reset();  // simavr 1.6 takes the new time from here on
+  for (;;) {
+  }
 }
 
 // ---- serial in ----
@@ -168,7 +237,9 @@ void send_status() {
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
     status.state = uint8_t(safety.state());
     status.fault = uint8_t(safety.fault());
-    status.silent = safety.silent();
+    status.flags = uint8_t((safety.silent() ? Status::SILENT : 0) | (safety.has_pilot() ? Status::HAS_PILOT : 0) |
+                           (safety.pilot_took_over() ? Status::PILOT_TOOK_OVER : 0) |
+                           (ENGAGE_WITHOUT_PILOT ? Status::ENGAGES_WITHOUT_PILOT : 0));
     status.ppm_frames = ppm_out.frames();
     for (uint8_t i = 0; i < CHANNELS; ++i) status.channels_us[i] = safety.slots_us()[i];
   }
@@ -186,12 +257,12 @@ void send_status() {
 }
 
 void send_pilot_ppm() {
-  Pilot pilot;
+  Pilot message;
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-    pilot = pilot_ppm.pilot;
+    message = pilot_ppm.pilot;
     pilot_ppm_ready = false;
   }
-  Serial.write(frame, encode(pilot, frame));
+  Serial.write(frame, encode(message, frame));
 }
 
 void send_pilot_spektrum() {
@@ -209,11 +280,18 @@ void tell_host() {
 
 // ---- the program ----
 
+// The LED on pin 13 is PB7. One instruction each: the interrupts are not held up, as digitalWrite() would do.
+void show_active() {
+  if (safety.state() == State::ACTIVE) PORTB |= _BV(PB7);
+  else PORTB &= ~_BV(PB7);
+}
+
 // Sleep until the next interrupt, at most 1 ms (the clock's). sei() executes the next instruction before any
 // interrupt, so no byte is missed between the check and the sleep (data sheet 7.8 and 11.2 idle mode).
 void nap() {
   cli();
   if (!Serial.available() && !Serial1.available()) {
+    set_sleep_mode(SLEEP_MODE_IDLE);  // each time: a disturbed register could stop the timers
     sleep_enable();
     sei();
     sleep_cpu();
@@ -229,18 +307,20 @@ void setup() {
   if (PILOT_SOURCE != 1) begin_ppm_in();
   if (PILOT_SOURCE != 0) Serial1.begin(115200);
   pinMode(SPEKTRUM_PIN, INPUT_PULLUP);
+  DDRB |= _BV(PB7);
   begin_ppm_out();
-  set_sleep_mode(SLEEP_MODE_IDLE);
+  if (BUZZER_PIN != 0) pinMode(BUZZER_PIN, OUTPUT);
   wdt_enable(WDTO_250MS);
 }
 
 void loop() {
-  wdt_reset();
+  feed_watchdog();
+  hold_registers();
   ticks_without_loop = 0;
   for (int n = Serial.available(); n > 0; --n) take_byte(uint8_t(Serial.read()));
-  for (int n = Serial1.available(); n > 0; --n) {
-    if (pilot_spektrum.byte(uint8_t(Serial1.read()), micros(), CHANNELS)) pilot_spektrum_ready = true;
-  }
+  for (int n = Serial1.available(); n > 0; --n) take_spektrum(uint8_t(Serial1.read()));
+  show_active();
   tell_host();
+  if (BUZZER_PIN != 0) digitalWrite(BUZZER_PIN, safety.state() == State::LOST && (millis() & 256));
   nap();
 }

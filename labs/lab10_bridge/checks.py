@@ -1,7 +1,19 @@
 """Lab 10: its exercises, what a student can check, and what a person grades."""
 
 import numpy as np
-from given import CENTRE_US, ENGAGE_FRAMES, GAP_US, HOLD_MS, LOST_MS, switched_on
+from given import (
+    CENTRE_US,
+    ENGAGE_FRAMES,
+    GAP_US,
+    IDLE_US,
+    LOST_MS,
+    MOVED_US,
+    NEAR_US,
+    SAFE_US,
+    WINDOW_MS,
+    Slots,
+    switched_on,
+)
 
 from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_same_answer
 
@@ -23,24 +35,35 @@ def _decodes(decode: Function, ticks: np.ndarray, *expected: tuple[float, ...]) 
     return is_same_answer(decode(ticks, 4), np.array(expected, float).reshape(-1, 4), 0.0, 1e-9)
 
 
-def _after(
-    step: Function, *inputs: tuple[float, bool, bool, bool], memory: dict | None = None
-) -> dict:
-    memory = memory or switched_on()
+Inputs = tuple[float, Slots | None, bool, Slots | None]
+PILOT = (SAFE_US[0] + 540.0, SAFE_US[1] + 20.0, SAFE_US[2] - 60.0, SAFE_US[3])
+FLOWN = (PILOT[0] + 30.0, PILOT[1], PILOT[2], PILOT[3] - 40.0)
+
+
+def _after(step: Function, *inputs: Inputs) -> dict:
+    memory = switched_on()
     for each in inputs:
         memory = step(memory, *each)
     return memory
 
 
-OFF, ON, PILOT = (22.0, True, False, False), (22.0, True, True, False), (22.0, True, True, True)
+def _on(slots: Slots = FLOWN, pilot: Slots | None = PILOT, dt_ms: float = 22.0) -> Inputs:
+    return (dt_ms, slots, True, pilot)
+
+
+OFF, ON = (22.0, FLOWN, False, PILOT), _on()
 FLYING = (OFF, *[ON] * ENGAGE_FRAMES)
 
 
-def _silence(ms: float) -> tuple[float, bool, bool, bool]:
-    return (ms, False, True, False)
+def _silence(ms: float) -> Inputs:
+    return (ms, None, True, PILOT)
 
 
-def _is(step: Function, state: str, *inputs: tuple[float, bool, bool, bool]) -> bool:
+def _moved(slots: Slots, channel: int, by_us: float) -> Slots:
+    return tuple(us + by_us * (k == channel) for k, us in enumerate(slots))
+
+
+def _is(step: Function, state: str, *inputs: Inputs) -> bool:
     return bool(_after(step, *inputs)["state"] == state)
 
 
@@ -245,84 +268,170 @@ DECODE = (
         "Look at numpy.reshape(-1, channels).",
     ),
 )
+MATCHES = (
+    Check(
+        "the pilot's own sticks match, and full throttle against them does not",
+        lambda f: bool(f(PILOT, PILOT)) and not f(_moved(PILOT, 0, 460.0), PILOT),
+        "Compare each slot with the pilot's.",
+    ),
+    Check(
+        "every slot counts, up and down: NEAR_US away still matches, 1 us more does not",
+        lambda f: all(
+            bool(f(_moved(PILOT, k, sign * NEAR_US), PILOT))
+            and not f(_moved(PILOT, k, sign * (NEAR_US + 1.0)), PILOT)
+            for k in range(4)
+            for sign in (-1.0, 1.0)
+        ),
+        "Take the absolute difference of each of the four slots; the limit itself matches.",
+    ),
+    Check(
+        "idle does not match against a pilot who flies",
+        lambda f: not f(SAFE_US, PILOT),
+        "SAFE_US counts only where no pilot is measured.",
+    ),
+    Check(
+        "without a pilot idle and middle match; a throttle 1 us more than IDLE_US above does not",
+        lambda f: (
+            bool(f(SAFE_US, None))
+            and bool(f(_moved(SAFE_US, 0, IDLE_US), None))
+            and not f(_moved(SAFE_US, 0, IDLE_US + 1.0), None)
+        ),
+        "The first slot has its own limit where no pilot is measured.",
+    ),
+    Check(
+        "without a pilot the other slots may be NEAR_US from the middle, and no more",
+        lambda f: all(
+            bool(f(_moved(SAFE_US, k, -NEAR_US), None))
+            and not f(_moved(SAFE_US, k, -NEAR_US - 1.0), None)
+            for k in (1, 2, 3)
+        ),
+        "IDLE_US is the throttle's alone.",
+    ),
+)
 FAILSAFE = (
     Check(
-        "off, then five good frames with engage on: ACTIVE at the fifth, not before",
+        "off, then five matching commands with engage on: ACTIVE at the fifth, not before",
         lambda f: _is(f, "SAFE", *FLYING[:-1]) and _is(f, "ACTIVE", *FLYING),
-        "Rule 3 arms, rule 4 counts.",
+        "Rule 5: the edge counts as the first.",
     ),
     Check(
         "a host that has engage on from the start never flies: it must let go first",
         lambda f: _is(f, "SAFE", *[ON] * 12),
-        "Rule 4: SAFE *and armed*.",
+        "Rule 5: without an edge `good` stays 0.",
     ),
     Check(
-        "frames must be in a row: a missing one starts the count again",
+        "a frame without a command between them does no harm; a silence of LOST_MS does",
         lambda f: (
-            _is(f, "SAFE", OFF, ON, ON, ON, ON, _silence(22.0), ON)
-            and _is(f, "ACTIVE", *FLYING[:4], *[ON] * 5)
+            _is(f, "ACTIVE", OFF, ON, ON, _silence(22.0), ON, ON, ON)
+            and _is(f, "SAFE", OFF, ON, ON, _silence(LOST_MS), ON, ON, ON, ON)
         ),
-        "Rule 5: `good` = 0 in SAFE.",
+        "Rule 3: `good` = 0 once the age is LOST_MS.",
     ),
     Check(
-        "silence shorter than HOLD_MS stays ACTIVE; of HOLD_MS it is HOLD; "
-        "one good frame brings ACTIVE back",
+        "the five must come within WINDOW_MS of the edge",
         lambda f: (
-            _is(f, "ACTIVE", *FLYING, _silence(HOLD_MS - 1.0))
-            and _is(f, "HOLD", *FLYING, _silence(HOLD_MS))
-            and _is(f, "ACTIVE", *FLYING, _silence(HOLD_MS), ON)
+            _is(f, "ACTIVE", OFF, *[_on(dt_ms=WINDOW_MS / 4.0 - 1.0)] * 5)
+            and _is(f, "SAFE", OFF, *[_on(dt_ms=WINDOW_MS / 4.0)] * 9)
+        ),
+        "Rule 5: `edge_ms` is 0 at the edge and grows with every step; less than WINDOW_MS counts.",
+    ),
+    Check(
+        "one command that does not match ends the count, until there is a new edge",
+        lambda f: (
+            _is(f, "SAFE", OFF, ON, ON, _on(_moved(FLOWN, 0, 400.0)), *[ON] * 9)
+            and _is(f, "SAFE", OFF, _on(SAFE_US), *[ON] * 9)
+            and _is(f, "ACTIVE", OFF, _on(SAFE_US), *FLYING)
+        ),
+        "Rule 5: `good` = 0, at the edge as well.",
+    ),
+    Check(
+        "in ACTIVE a command need not match: the host flies",
+        lambda f: _is(f, "ACTIVE", *FLYING, *[_on(_moved(FLOWN, 1, 400.0))] * 5),
+        "Rule 5 is for SAFE only.",
+    ),
+    Check(
+        "silence shorter than LOST_MS stays ACTIVE, of LOST_MS it is LOST, "
+        "and commands alone do not bring it back",
+        lambda f: (
+            _is(f, "ACTIVE", *FLYING, _silence(LOST_MS - 1.0))
+            and _is(f, "LOST", *FLYING, _silence(LOST_MS))
+            and _is(f, "LOST", *FLYING, _silence(LOST_MS - 1.0), _silence(1.0))
+            and _is(f, "LOST", *FLYING, _silence(LOST_MS), *[ON] * 9)
         ),
         "The age grows with dt_ms, and a limit counts when it is reached.",
     ),
     Check(
-        "two short silences with a good frame between them are not one long silence",
-        lambda f: _is(f, "ACTIVE", *FLYING, _silence(0.6 * HOLD_MS), ON, _silence(0.6 * HOLD_MS)),
-        "Rule 1: a valid command sets the age to 0.",
+        "two silences with a command between them are not one long silence",
+        lambda f: _is(f, "ACTIVE", *FLYING, _silence(0.6 * LOST_MS), ON, _silence(0.6 * LOST_MS)),
+        "Rule 6: a valid command sets the age to 0.",
     ),
     Check(
-        "silence of LOST_MS is LOST, from HOLD or directly, "
-        "and commands alone do not bring it back",
-        lambda f: (
-            _is(f, "LOST", *FLYING, _silence(LOST_MS))
-            and _is(f, "HOLD", *FLYING, _silence(HOLD_MS), _silence(LOST_MS - HOLD_MS - 1.0))
-            and _is(f, "LOST", *FLYING, _silence(HOLD_MS), _silence(LOST_MS - HOLD_MS))
-            and _is(f, "LOST", *FLYING, _silence(LOST_MS), *[ON] * 9)
-        ),
-        "LOST ends by rule 2 or 3 only.",
-    ),
-    Check(
-        "engage off is SAFE in the same step, from ACTIVE, HOLD and LOST; "
-        "off and five frames later the host flies again",
+        "engage off is SAFE in the same step, from ACTIVE and LOST; "
+        "off and five commands later the host flies again",
         lambda f: (
             _is(f, "SAFE", *FLYING, OFF)
-            and _is(f, "SAFE", *FLYING, _silence(HOLD_MS), OFF)
+            and _is(f, "SAFE", *FLYING, _silence(LOST_MS), OFF)
             and _is(f, "ACTIVE", *FLYING, _silence(LOST_MS), *FLYING)
         ),
-        "Rule 3 does not ask for the state.",
+        "Rule 4 does not ask for the state.",
     ),
     Check(
-        "the pilot's stick is SAFE in the same step, and the host must let go before it may fly "
-        "again",
-        lambda f: (
-            _is(f, "SAFE", *FLYING, PILOT)
-            and _is(f, "SAFE", *FLYING, PILOT, *[ON] * 12)
-            and _is(f, "ACTIVE", *FLYING, PILOT, *FLYING)
-            and _is(f, "SAFE", OFF, ON, (22.0, True, False, True), *[ON] * 9)
+        "a stick of the pilot that moves by more than MOVED_US is SAFE in the same step, "
+        "whatever the host sends",
+        lambda f: all(
+            _is(f, "SAFE", *FLYING, _on(pilot=_moved(PILOT, k, sign * (MOVED_US + 1.0))))
+            and _is(f, "SAFE", *FLYING, (22.0, None, True, _moved(PILOT, k, 300.0 * sign)))
+            and _is(f, "ACTIVE", *FLYING, _on(pilot=_moved(PILOT, k, sign * MOVED_US)))
+            for k in range(4)
+            for sign in (-1.0, 1.0)
         ),
-        "Rule 2 comes before all others, and takes the arming away.",
+        "Rule 2: any of the four, up or down.",
     ),
     Check(
-        "flying uses the arming up: after ACTIVE `armed` is False",
-        lambda f: is_same_answer([_after(f, *FLYING[:n])["armed"] for n in (3, 6)], [True, False]),
-        "The last sentence of the rules.",
+        "a stick that moves slowly has moved: it is compared with where it was at the engagement",
+        lambda f: _is(
+            f, "SAFE", *FLYING, *[_on(pilot=_moved(PILOT, 3, 30.0 * k)) for k in range(1, 6)]
+        ),
+        "Do not change `pilot_us` in ACTIVE once it is known.",
+    ),
+    Check(
+        "after the takeover the host must let go, and then ask near the sticks as they are now",
+        lambda f: (
+            _is(f, "SAFE", *FLYING, *[_on(pilot=_moved(PILOT, 0, -300.0))] * 12)
+            and _is(f, "SAFE", *FLYING, *[(i[0], i[1], i[2], SAFE_US) for i in FLYING])
+            and _is(
+                f,
+                "ACTIVE",
+                *FLYING,
+                _on(pilot=SAFE_US),
+                (22.0, SAFE_US, False, SAFE_US),
+                *[_on(SAFE_US, SAFE_US)] * 5,
+            )
+        ),
+        "Rule 2 changes the state, and `engage` stays on: there is no edge.",
+    ),
+    Check(
+        "engaged without a pilot, the first sticks that are measured are where they are",
+        lambda f: (
+            _is(f, "ACTIVE", (22.0, SAFE_US, False, None), *[_on(SAFE_US, None)] * 5, ON)
+            and _is(
+                f,
+                "SAFE",
+                (22.0, SAFE_US, False, None),
+                *[_on(SAFE_US, None)] * 5,
+                ON,
+                _on(pilot=_moved(PILOT, 2, 121.0)),
+            )
+        ),
+        "Rule 2: remember them if `pilot_us` is None.",
     ),
     Check(
         "engage means nothing without a valid command",
         lambda f: (
-            _is(f, "ACTIVE", *FLYING, (10.0, False, False, False))
-            and _is(f, "SAFE", *[(9.0, False, False, False)], *[ON] * 9)
+            _is(f, "ACTIVE", *FLYING, (10.0, None, False, PILOT))
+            and _is(f, "SAFE", (9.0, None, False, PILOT), *[ON] * 9)
         ),
-        "Ask for `valid` first.",
+        "Ask for the command first.",
     ),
     Check("the memory that comes in stays as it is", _keeps_argument, "Return a new dictionary."),
 )
@@ -392,10 +501,11 @@ LAB = Lab(
     title="Trainer-port bridge",
     hours=3.0,
     exercises=(
-        Exercise("encode_ppm", 18.0, ENCODE),
-        Exercise("decode_ppm", 19.0, DECODE),
+        Exercise("encode_ppm", 16.0, ENCODE),
+        Exercise("decode_ppm", 16.0, DECODE),
+        Exercise("matches", 7.0, MATCHES),
         Exercise("failsafe_state", 20.0, FAILSAFE),
-        Exercise("ssim_monitor", 18.0, MONITOR),
+        Exercise("ssim_monitor", 16.0, MONITOR),
     ),
     rubric=(
         Criterion("timing", 2.0, "Five pulses, slots labelled; both histograms."),
@@ -425,7 +535,7 @@ LAB = Lab(
     constants={
         "gap_us": (300.0, 450.0, 0),
         "centre_us": (1470.0, 1540.0, 0),
-        "hold_ms": (70.0, 110.0, 0),
+        "near_us": (80.0, 120.0, 0),
         "lost_ms": (180.0, 260.0, 0),
     },
 )

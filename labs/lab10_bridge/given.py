@@ -18,10 +18,16 @@ TIMER = 65536  # and has 16 bits: after 65535 comes 0
 PAUSE_US = 4000.0  # so long between two pulses, or longer, ends a frame [us]
 VALID_US = (800.0, 2200.0)  # shortest and longest slot that is one [us]
 
-HOLD_MS = COHORT["hold_ms"]  # without a valid command for so long: HOLD [ms]
-LOST_MS = COHORT["lost_ms"]  # ... and for so long: LOST [ms]
-ENGAGE_FRAMES = 5  # good frames in a row before the host may fly
-STATES = ("SAFE", "ACTIVE", "HOLD", "LOST")
+LOST_MS = COHORT["lost_ms"]  # without a valid command for so long: LOST [ms]
+NEAR_US = COHORT[
+    "near_us"
+]  # a command this near to the pilot's sticks, or the middle, engages [us]
+IDLE_US = 20.0  # and this near to idle, for the throttle where no pilot is measured [us]
+MOVED_US = 120.0  # a stick of the pilot that moved by more takes over: 12 % of 1000 us [us]
+ENGAGE_FRAMES = 5  # matching commands in a row before the host may fly
+WINDOW_MS = 500.0  # less than this from the first of them to the last [ms]
+SAFE_US = (CENTRE_US - REACH_US, CENTRE_US, CENTRE_US, CENTRE_US)  # idle, and the middle [us]
+STATES = ("SAFE", "ACTIVE", "LOST")
 STICKS = ("throttle", "aileron", "elevator", "rudder")
 
 BLOCK_PX = 8  # side of a block [px]
@@ -38,11 +44,22 @@ BLUE, ORANGE, GREEN, PINK = (
 )  # distinct for colour-blind eyes as well
 
 Memory = dict[str, Any]
+Slots = tuple[float, ...]
+Step = tuple[
+    Slots | None, bool, Slots | None
+]  # command or None, its engage, pilot's sticks or None
 
 
 def switched_on() -> Memory:
     """What the safety machine remembers when the board starts."""
-    return {"state": "SAFE", "armed": False, "good": 0, "age_ms": 0.0}
+    return {
+        "state": "SAFE",
+        "engage": True,  # so that the first command is no edge
+        "good": 0,
+        "age_ms": 0.0,
+        "edge_ms": 0.0,
+        "pilot_us": None,
+    }
 
 
 def first_edges(frames_us: np.ndarray, jitter_us: float = 0.0, seed: int = 0) -> np.ndarray:
@@ -139,22 +156,49 @@ def plot_frame(edges: np.ndarray, errors_us: dict[str, np.ndarray]) -> None:
     spread.legend(fontsize=8)
 
 
-def scene_of_faults() -> list[tuple[bool, bool, bool]]:
-    """Six seconds of (valid, engage, pilot moved) per frame, with two dropouts and a takeover."""
-    steps = [(True, False, False)] * 10 + [(True, True, False)] * 50
-    steps += [(False, False, False)] * 6 + [(True, True, False)] * 34  # a short dropout
-    steps += [(False, False, False)] * 20 + [(True, True, False)] * 30  # a long one
-    steps += [(True, False, False)] * 10 + [
-        (True, True, False)
-    ] * 60  # the host disengages and engages again
-    return [*steps, (True, True, True), *[(True, True, False)] * 40]  # the pilot moves a stick
+def scene_of_faults() -> list[Step]:
+    """Six seconds, frame by frame: two dropouts, a host that asks with the wrong throttle, a
+    takeover.
+    """
+    pilot = (SAFE_US[0] + 540.0, SAFE_US[1] + 20.0, SAFE_US[2] - 60.0, SAFE_US[3])
+    flown = (pilot[0] + 40.0, pilot[1] - 30.0, pilot[2] + 10.0, pilot[3])
+    wrong = (pilot[0] + 400.0, *flown[1:])
+    moved = (*pilot[:3], pilot[3] + 150.0)
+    none, off, on = (None, False, pilot), (flown, False, pilot), (flown, True, pilot)
+    steps = [off] * 10 + [on] * 50
+    steps += [none] * 6 + [on] * 34  # a short dropout
+    steps += [none] * 20 + [on] * 30  # a long one
+    steps += [off] * 10 + [(wrong, True, pilot)] * 20  # asks with the wrong throttle
+    steps += [off] * 10 + [on] * 50
+    return [*steps, *[(flown, True, moved)] * 40]  # the pilot moves a stick
 
 
-def plot_takeover(steps: list[tuple[bool, bool, bool]], states: list[str]) -> None:
+def board_states(steps: list[Step]) -> list[str]:
+    """The states of the kit's model of the board's program after each of these steps, one a frame,
+    with this course's numbers.
+    """
+    from falconwing_kit.trainer_port import Safety, SafetyConfig
+
+    config = SafetyConfig(
+        safe_us=(*(int(us) for us in SAFE_US), 1500, 1500, 1500, 1500),
+        host_timeout_ms=int(LOST_MS),
+        engage_near_us=int(NEAR_US),
+    )
+    safety, states = Safety(config), []
+    for number, (command_us, engage, pilot_us) in enumerate(steps):
+        now_us = round(number * FRAME_US)
+        safety.tick(now_us, None if pilot_us is None else [round(us) for us in pilot_us])
+        if command_us is not None:
+            safety.frame(now_us, number, engage, [round(us) for us in command_us])
+        states.append(safety.state)
+    return states
+
+
+def plot_takeover(steps: list[Step], states: list[str]) -> None:
     """States over time, with what the host and the pilot did below.
 
     Args:
-        steps: (valid, engage, pilot moved) of each PPM frame.
+        steps: command, engage and pilot's sticks of each PPM frame.
         states: the state after each.
     """
     import matplotlib.pyplot as plt
@@ -166,19 +210,31 @@ def plot_takeover(steps: list[tuple[bool, bool, bool]], states: list[str]) -> No
     above.step(t, [STATES.index(state) for state in states], where="post", color=BLUE)
     above.set(
         ylabel="state",
-        yticks=range(4),
+        yticks=range(len(STATES)),
         yticklabels=STATES,
         title="Who flies (simulated host and pilot)",
     )
     above.grid(alpha=0.3)
-    rows = {"valid command": [s[0] for s in steps], "host engages": [s[1] for s in steps]}
-    for row, ((name, on), colour) in enumerate(zip(rows.items(), (GREEN, ORANGE), strict=True)):
+    near = [a is None or b is None or abs(a[0] - b[0]) <= NEAR_US for a, _, b in steps]
+    rows = {
+        "valid command": [command is not None for command, _, _ in steps],
+        "host engages": [engage for _, engage, _ in steps],
+        "throttle near the pilot's": near,
+    }
+    for row, ((name, on), colour) in enumerate(
+        zip(rows.items(), (GREEN, ORANGE, BLUE), strict=True)
+    ):
         below.fill_between(t, row, row + 0.8 * np.array(on), step="post", color=colour, alpha=0.6)
         below.text(0.02, row + 0.3, name, fontsize=8)
-    for moved in t[[s[2] for s in steps]]:
-        for axes in (above, below):
-            axes.axvline(moved, color=PINK, ls="--")
-        above.text(moved + 0.03, 2.4, "pilot moves\na stick", fontsize=8)
+    first = steps[0][2]
+    moved = next(
+        t[k]
+        for k, (_, _, pilot_us) in enumerate(steps)
+        if pilot_us is not None and pilot_us != first
+    )
+    for axes in (above, below):
+        axes.axvline(moved, color=PINK, ls="--")
+    above.text(moved + 0.03, 1.6, "pilot moves\na stick", fontsize=8)
     below.set(xlabel="time [s]", ylabel="on or off", yticks=[])
 
 

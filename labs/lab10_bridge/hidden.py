@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values
-from falconwing_kit.trainer_port import Stick
+from falconwing_kit.trainer_port import Safety, SafetyConfig, Stick
 
 NAMES = {"T": "throttle", "A": "aileron", "E": "elevator", "R": "rudder"}
 STEPS = 160  # of one trace of the safety machine
@@ -17,7 +17,11 @@ STEPS = 160  # of one trace of the safety machine
 def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
     """The judges of each exercise."""
     gap_us, centre_us = int(course.constants["gap_us"]), int(course.constants["centre_us"])
-    hold_ms, lost_ms = course.constants["hold_ms"], course.constants["lost_ms"]
+    config = SafetyConfig(
+        safe_us=(centre_us - 500, *[centre_us] * 3, *[1500] * 4),
+        host_timeout_ms=int(course.constants["lost_ms"]),
+        engage_near_us=int(course.constants["near_us"]),
+    )
     return {
         "encode_ppm": (
             Values(
@@ -25,9 +29,8 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
             ),
         ),
         "decode_ppm": (Values(_stream, _frames_by_machine, cases=24, rtol=0.0),),
-        "failsafe_state": (
-            Trials(partial(_same_states, hold_ms=hold_ms, lost_ms=lost_ms), trials=20),
-        ),
+        "matches": (Trials(partial(_same_matches, config=config), trials=20),),
+        "failsafe_state": (Trials(partial(_same_states, config=config), trials=30),),
         "ssim_monitor": (Values(_pictures, _by_loops, cases=16, rtol=1e-7, atol=1e-9),),
     }
 
@@ -121,106 +124,123 @@ def _frames_by_machine(ticks: np.ndarray, channels: int) -> np.ndarray:
     return np.array(frames, float) if frames else np.zeros((0, channels))
 
 
-def _trace(
-    rng: np.random.Generator, hold_ms: float, lost_ms: float
-) -> list[tuple[float, bool, bool, bool]]:
-    """A host that flies, falls silent for a while, lets go; a pilot who steps in.
+Slots = tuple[float, ...]
+Inputs = tuple[float, Slots | None, bool, Slots | None]
 
-    And steps of uneven length.
+
+def _near(rng: np.random.Generator, config: SafetyConfig) -> tuple[Any, ...]:
+    """A command and a pilot or none: near, at a limit, just beyond it in one slot, or far."""
+    has_pilot = bool(rng.random() < 0.6)
+    limits = np.full(4, config.engage_near_us)
+    if not has_pilot:
+        limits[0] = config.engage_idle_us
+    sticks = rng.integers(1200, 1800, 4) if has_pilot else np.array(config.safe_us[:4])
+    away = rng.integers(-limits, limits + 1)
+    kind, channel = int(rng.integers(3)), int(rng.integers(4))
+    if kind > 0:
+        sign = int(rng.choice([-1, 1]))
+        away[channel] = sign * (limits[channel] + (kind == 2) * int(rng.choice([1, 1, 60])))
+    command = tuple(float(us) for us in sticks + away)
+    return command, tuple(float(us) for us in sticks) if has_pilot else None
+
+
+def _same_matches(student: Function, rng: np.random.Generator, config: SafetyConfig) -> bool:
+    """Eight commands, some that match and some that do not."""
+    cases = [_near(rng, config) for _ in range(8)]
+    expected = [_engages(*case, config=config) for case in cases]
+    if len(set(expected)) == 1:  # so that no constant answer is right
+        return _same_matches(student, rng, config)
+    answers = [student(*case) for case in cases]
+    return all(
+        isinstance(mine, (bool, np.bool_)) and bool(mine) == its
+        for mine, its in zip(answers, expected, strict=True)
+    )
+
+
+def _engages(command_us: Slots, pilot_us: Slots | None, config: SafetyConfig) -> bool:
+    """Whether the model of the board's program becomes ACTIVE on five of these commands."""
+    safety = Safety(config)
+    for number in range(6):
+        now_us = 20_000 * number
+        safety.tick(now_us, None if pilot_us is None else [round(us) for us in pilot_us])
+        safety.frame(now_us, number, number > 0, [round(us) for us in command_us])
+    return safety.state == "ACTIVE"
+
+
+def _trace(rng: np.random.Generator, config: SafetyConfig) -> list[Inputs]:
+    """A host that asks, flies, falls silent for a while, lets go; a pilot who steps in, or is not
+    measured; and steps of uneven length.
     """
-    steps: list[tuple[float, bool, bool, bool]] = [
-        (22.0, True, False, False),
-        *[(22.0, True, True, False)] * 6,
-    ]
+    safe = tuple(float(us) for us in config.safe_us[:4])
+    pilot: Slots | None = safe if rng.random() < 0.3 else None
+    steps: list[Inputs] = []
+
+    def near() -> Slots:
+        reach = config.engage_near_us if pilot is not None else config.engage_idle_us
+        sticks = np.array(safe if pilot is None else pilot)
+        return tuple(float(us) for us in sticks + rng.integers(-reach, reach + 1, 4))
+
+    def ask(count: int, dt: float) -> list[Inputs]:
+        return [(dt, near(), True, pilot) for _ in range(count)]
+
     while len(steps) < STEPS:
-        what, n, dt = int(rng.integers(8)), int(rng.integers(3, 9)), float(rng.integers(18, 27))
-        engage, asks = bool(rng.random() < 0.5), [(dt, True, True, False)] * n
-        if (
-            what < 2
-        ):  # silent for exactly as long as a limit or a little shorter, all at once or in two parts
-            limit, first = (
-                float(rng.choice([hold_ms, lost_ms])) - float(rng.integers(2)),
-                float(rng.integers(1, 50)),
-            )
+        what, n, dt = int(rng.integers(10)), int(rng.integers(3, 9)), float(rng.integers(18, 27))
+        engage = bool(rng.random() < 0.5)
+        if what < 2:  # silent for exactly the limit or a little less, at once or in two parts
+            limit = float(config.host_timeout_ms) - float(rng.integers(2))
+            first = float(rng.integers(1, 50))
             parts = [limit] if rng.random() < 0.5 else [first, limit - first]
-            steps += [(part, False, engage, False) for part in parts] + asks * (rng.random() < 0.6)
+            steps += [(part, None, engage, pilot) for part in parts]
+            steps += ask(n, dt) if rng.random() < 0.6 else []
         elif what == 2:
-            steps += [(dt, False, engage, False)] * n
-        elif what == 3:
-            steps += [(dt, bool(rng.random() < 0.7), engage, True), *asks]
-        elif what == 4:
-            steps += [(dt, True, False, False)] * int(rng.integers(1, 3))
-        elif what == 5:  # off, and nearly enough good frames
-            steps += [
-                (dt, True, False, False),
-                *[(dt, True, True, False)] * int(rng.integers(3, 5)),
-            ]
+            steps += [(dt, None, engage, pilot)] * n
+        elif what == 3 and pilot is not None:  # moves a stick, by as much as counts or just not
+            moved, channel = list(pilot), int(rng.integers(4))
+            by_us = float(rng.choice([60.0, 120.0, 121.0, 300.0]))
+            moved[channel] += by_us if moved[channel] < 1500.0 else -by_us
+            pilot = tuple(moved)
+            steps += [(dt, near(), engage, pilot), *ask(n, dt)]
+        elif what == 4:  # another pilot's signal, or none
+            pilot = None if rng.random() < 0.4 else tuple(map(float, rng.integers(1200, 1800, 4)))
+            steps += [(dt, near(), False, pilot)] * int(rng.integers(2)) + ask(n, dt)
+        elif what == 5:  # nearly enough commands, or one far off among them, or too slow
+            steps += [(dt, near(), False, pilot), *ask(int(rng.integers(3, 5)), dt)]
+            far = tuple(us + (300.0 if us < 1500.0 else -300.0) for us in near())
+            steps += (
+                [(dt, far, True, pilot)] if rng.random() < 0.5 else [(150.0, None, True, pilot)]
+            )
+            steps += ask(n, dt)
+        elif what == 6:  # at the edge of the window
+            slow = float(rng.choice([124.0, 125.0]))
+            steps += [(dt, near(), False, pilot), *ask(6, slow)]
         else:
-            steps += [(dt, True, False, False)] * (rng.random() < 0.7) + asks
+            steps += [(dt, near(), False, pilot)] * (rng.random() < 0.8) + ask(n, dt)
     return steps
 
 
-def _same_states(
-    student: Function, rng: np.random.Generator, hold_ms: float, lost_ms: float
-) -> bool:
-    memory: Any = {"state": "SAFE", "armed": False, "good": 0, "age_ms": 0.0}
-    history: list[tuple[float, bool, bool, bool]] = []
-    expected = "SAFE"
-    for inputs in _trace(rng, hold_ms, lost_ms):
+def _same_states(student: Function, rng: np.random.Generator, config: SafetyConfig) -> bool:
+    """Step by step as the model of the board's program, which sees time, pilot, then command."""
+    memory: Any = {
+        "state": "SAFE",
+        "engage": True,
+        "good": 0,
+        "age_ms": 0.0,
+        "edge_ms": 0.0,
+        "pilot_us": None,
+    }
+    safety, now_us = Safety(config), 0
+    for number, inputs in enumerate(_trace(rng, config)):
+        dt_ms, command_us, engage, pilot_us = inputs
+        now_us += round(1000.0 * dt_ms)
+        safety.tick(now_us, None if pilot_us is None else [round(us) for us in pilot_us])
+        if pilot_us is None:
+            safety.has_pilot = False  # the board forgets a signal after 100 ms, here it is told
+        if command_us is not None:
+            safety.frame(now_us, number, engage, [round(us) for us in command_us])
         memory = student(memory, *inputs)
-        history.append(inputs)
-        expected = _state(expected, history, hold_ms, lost_ms)
-        if not isinstance(memory, dict) or memory.get("state") != expected:
+        if not isinstance(memory, dict) or memory.get("state") != safety.state:
             return False
     return True
-
-
-def _state(
-    before: str, history: list[tuple[float, bool, bool, bool]], hold_ms: float, lost_ms: float
-) -> str:
-    """The state from the previous state and the whole history, without counters."""
-    _, valid, engage, pilot_moved = history[-1]
-    if pilot_moved or (valid and not engage):
-        return "SAFE"
-    if not valid:
-        silence = 0.0
-        for dt_ms, was_valid, *_ in reversed(history):
-            if was_valid:
-                break
-            silence = dt_ms + silence
-        if before in ("ACTIVE", "HOLD"):
-            return (
-                "LOST"
-                if silence >= lost_ms
-                else "HOLD"
-                if silence >= hold_ms or before == "HOLD"
-                else "ACTIVE"
-            )
-        return before
-    if before == "HOLD":
-        return "ACTIVE"
-    if before != "SAFE":
-        return before
-    last = history[
-        -6:
-    ]  # five engage frames in a row, and before them the host disengaged and no stick moved
-    asked = all(
-        was_valid and was_engaged and not moved for _, was_valid, was_engaged, moved in last[-5:]
-    )
-    return "ACTIVE" if asked and len(history) > 5 and _armed(history[:-5]) else "SAFE"
-
-
-def _armed(history: list[tuple[float, bool, bool, bool]]) -> bool:
-    """Whether the last word of host or pilot that counts was a host that let go.
-
-    Frames that ask do not change it.
-    """
-    for _, valid, engage, pilot_moved in reversed(history):
-        if pilot_moved:
-            return False
-        if valid and not engage:
-            return True
-    return False
 
 
 def _pictures(rng: np.random.Generator) -> tuple[Any, ...]:

@@ -27,14 +27,19 @@ from given import (
     FRAME_US,
     FROZEN_LEVELS,
     GAP_US,
-    HOLD_MS,
+    IDLE_US,
     LOST_MS,
+    MOVED_US,
+    NEAR_US,
     PAUSE_US,
     REACH_US,
+    SAFE_US,
     STICKS,
     TICKS_PER_US,
     TIMER,
     VALID_US,
+    WINDOW_MS,
+    board_states,
     first_edges,
     plot_frame,
     plot_monitor,
@@ -50,7 +55,8 @@ from falconwing_kit.tools.grading import check
 from falconwing_kit.trainer_port import encode_channels
 
 print(
-    f"This course: pulse {GAP_US:g} us, middle {CENTRE_US:g} us, HOLD after {HOLD_MS:g} ms, LOST after {LOST_MS:g} ms"
+    f"This course: pulse {GAP_US:g} us, middle {CENTRE_US:g} us, LOST after {LOST_MS:g} ms, "
+    f"near is {NEAR_US:g} us"
 )
 
 # %% [markdown]
@@ -189,10 +195,12 @@ print(f"{len(kept_us)} of {len(sent_us)} frames kept, {len(wrong)} of them wrong
 # The kit has a simulated board that speaks the real serial protocol. Commands at 20 Hz go in, and pulses come out.
 # Your decoder reads them. (`falconwing_kit/trainer_port` is the code that flies; look into it.) The kit's radio has its
 # middle at 1500 us, whatever your course has. The board starts in `SAFE` (section 3), so the first slots are idle; the
-# first and the last frame are missing, since your decoder has not seen a pause on both sides of them.
+# first and the last frame are missing, since your decoder has not seen a pause on both sides of them. The board engages
+# only near the sticks of the pilot, which it measures on a pin of its own; a simulated pilot holds them there.
 
 # %%
 board = PythonBoard()
+board.set_pilot((1400, 1600, 1500, 1500))
 for step in range(40):
     board.write(
         encode_channels(step, (1400, 1600, 1500, 1500), engage=step > 5)
@@ -205,67 +213,124 @@ print(f"{len(on_wire_us)} frames in 2 s. First: {on_wire_us[0]}, last: {on_wire_
 # %% [markdown]
 # ## 3. Who flies?
 #
-# The state machine runs once per PPM frame. It decides whether the computer (the *host*) flies:
+# A state machine on the board decides whether the computer (the *host*) flies. You write the machine that the board
+# runs (`firmware/trainer_bridge/safety.cpp`), step by step of a PPM frame:
 #
 # | state | what goes to the radio |
 # |---|---|
-# | `SAFE` | throttle idle, sticks in the middle |
-# | `ACTIVE` | the host's command |
-# | `HOLD` | the host's last command, once more: a short dropout must not jerk the aircraft |
-# | `LOST` | as `SAFE`, but the host must disengage before it may fly again |
+# | `SAFE` | throttle idle, sticks in the middle: `SAFE_US` |
+# | `ACTIVE` | the host's last command |
+# | `LOST` | as `SAFE`; the host must disengage before it may fly again |
 #
-# It remembers four things in a dictionary: `state`; `armed`, whether the host has disengaged since it last flew; `good`,
-# how many good frames in a row had engage on since then; and `age_ms`, the time since the last valid command. The
-# rules, the strongest first:
+# The board has two more, which also send `SAFE_US`: `BOOT` until its first frame, and `FAULT` after five commands out of
+# range in a second, a disturbed memory, or a restart by its watchdog. `FAULT` ends as `LOST` does, by a command without
+# engage, but a second later at the earliest.
 #
-# 1. A valid command sets `age_ms` to 0. Without one it grows by the time of the step.
-# 2. **The pilot moved a stick:** `SAFE`, not armed, `good` = 0, whatever else comes in this step. No computer flies
-#    against the pilot. The takeover needs one frame.
-# 3. **A valid command with engage off:** `SAFE`, armed, `good` = 0.
-# 4. **A valid command with engage on:** from `HOLD` back to `ACTIVE`. In `SAFE` and armed: `good` grows by 1, and at
-#    `ENGAGE_FRAMES` the state is `ACTIVE`. Else nothing.
-# 5. **No valid command:** `good` = 0 in `SAFE`. From `ACTIVE` to `HOLD` once `age_ms` is `HOLD_MS` or more; from
-#    `ACTIVE` or `HOLD` to `LOST` once it is `LOST_MS` or more.
+# ### Taking over must move nothing
 #
-# Flying (`ACTIVE`) uses the arming up: set `armed` to `False` there. So `LOST` can only end by rule 2 or 3.
+# A host that engages with full throttle is a start of the motor that nobody expects. So a command may engage only if
+# it **matches**:
+#
+# - where the pilot's sticks are measured, every slot is within `NEAR_US` of the pilot's;
+# - where they are not (no signal, or one too old), the throttle slot, the first one, is within `IDLE_US` of idle, and
+#   the others are within `NEAR_US` of the middle. Idle and middle are `SAFE_US`.
+#
+# A limit itself still matches.
+
+
+# %% exercise="matches"
+def matches(command_us: tuple[float, ...], pilot_us: tuple[float, ...] | None) -> bool:
+    """Whether a command may engage.
+
+    Args:
+        command_us: four slots of the host's command [us], the throttle first.
+        pilot_us: four slots of the pilot's sticks [us], or None where they are not measured.
+
+    Returns:
+        True if taking over moves nothing by more than its limit.
+    """
+    # BEGIN SOLUTION
+    if pilot_us is not None:
+        return all(abs(a - b) <= NEAR_US for a, b in zip(command_us, pilot_us, strict=True))
+    limits = (IDLE_US, NEAR_US, NEAR_US, NEAR_US)
+    return all(abs(a - b) <= limit for a, b, limit in zip(command_us, SAFE_US, limits, strict=True))
+    # END SOLUTION
+
+
+# %% check="matches"
+check(matches)
+
+# %% [markdown]
+# ### The machine
+#
+# It remembers six things in a dictionary: `state`; `engage`, the flag of the last valid command; `good`, how many
+# matching commands in a row asked; `age_ms`, the time since the last valid command; `edge_ms`, the time since the first
+# of these `good` commands; and `pilot_us`, where the pilot's sticks were at the engagement, or `None`.
+#
+# In every step, in this order:
+#
+# 1. **Time passes:** `age_ms` and `edge_ms` grow by the time of the step.
+# 2. **The pilot**, in `ACTIVE` and if the sticks are measured: if `pilot_us` is `None`, they are remembered there. If
+#    any of them is more than `MOVED_US` (12 % of the 1000 us of a stick) from there: `SAFE`. No computer flies against
+#    the pilot, and the takeover needs one frame.
+# 3. **Silence:** once `age_ms` is `LOST_MS` or more, `good` = 0, and `ACTIVE` becomes `LOST`.
+# 4. **A valid command with engage off:** `SAFE`, and `good` = 0.
+# 5. **A valid command with engage on**, in `SAFE` only. If `engage` was off before, this is the *edge*: `good` = 1 and
+#    `edge_ms` = 0. Without an edge, `good` grows by 1 if it is at least 1 and `edge_ms` is less than `WINDOW_MS`; it is 0 if
+#    the five take longer. A command that does not match sets `good` to 0. At `ENGAGE_FRAMES`: `ACTIVE`, `good` = 0, and
+#    `pilot_us` becomes the pilot's sticks as they are measured now, or `None`.
+# 6. Every valid command sets `age_ms` to 0 and `engage` to its flag.
+#
+# So after `LOST`, and after the pilot's takeover, a host that goes on asking gets nothing: there is no edge until it
+# has let go.
 
 
 # %% exercise="failsafe_state"
 def failsafe_state(
-    memory: dict, dt_ms: float, valid: bool, engage: bool, pilot_moved: bool
+    memory: dict,
+    dt_ms: float,
+    command_us: tuple[float, ...] | None,
+    engage: bool,
+    pilot_us: tuple[float, ...] | None,
 ) -> dict:
     """One step of the safety machine.
 
     Args:
-        memory: "state" (text), "armed" (bool), "good" (int) and "age_ms" (float), as the last step returned it.
+        memory: "state" (text), "engage" (bool), "good" (int), "age_ms", "edge_ms" (float) and "pilot_us" (four slots
+            or None), as the last step returned it.
         dt_ms: time since the last step [ms].
-        valid: True if a good command came in this step.
-        engage: what it said; means nothing without a valid command.
-        pilot_moved: True if the pilot moved a stick.
+        command_us: four slots [us] of the valid command that came in this step; None without one.
+        engage: its flag; means nothing without a command.
+        pilot_us: four slots of the pilot's sticks [us]; None where they are not measured.
 
     Returns:
-        The new memory, a dictionary with the same four keys. The old one stays as it is.
+        The new memory, a dictionary with the same six keys. The old one stays as it is.
     """
     # BEGIN SOLUTION
-    state, armed, good = memory["state"], memory["armed"], memory["good"]
-    age_ms = 0.0 if valid else memory["age_ms"] + dt_ms
-    if pilot_moved:
-        state, armed, good = "SAFE", False, 0
-    elif valid and not engage:
-        state, armed, good = "SAFE", True, 0
-    elif valid and state == "HOLD":
-        state = "ACTIVE"
-    elif valid and state == "SAFE" and armed:
-        good += 1
-        if good >= ENGAGE_FRAMES:
-            state, armed = "ACTIVE", False
-    elif not valid and state == "SAFE":
-        good = 0
-    elif not valid and state in ("ACTIVE", "HOLD") and age_ms >= LOST_MS:
-        state = "LOST"
-    elif not valid and state == "ACTIVE" and age_ms >= HOLD_MS:
-        state = "HOLD"
-    return {"state": state, "armed": armed, "good": good, "age_ms": age_ms}
+    new = dict(memory, age_ms=memory["age_ms"] + dt_ms, edge_ms=memory["edge_ms"] + dt_ms)
+    if new["state"] == "ACTIVE" and pilot_us is not None:
+        if new["pilot_us"] is None:
+            new["pilot_us"] = pilot_us
+        if max(abs(a - b) for a, b in zip(pilot_us, new["pilot_us"], strict=True)) > MOVED_US:
+            new["state"] = "SAFE"
+    if new["age_ms"] >= LOST_MS:
+        new["good"] = 0
+        if new["state"] == "ACTIVE":
+            new["state"] = "LOST"
+    if command_us is None:
+        return new
+    if not engage:
+        new["state"], new["good"] = "SAFE", 0
+    elif new["state"] == "SAFE":
+        if not memory["engage"]:
+            new["good"], new["edge_ms"] = 1, 0.0
+        elif new["good"] > 0:
+            new["good"] = new["good"] + 1 if new["edge_ms"] < WINDOW_MS else 0
+        if not matches(command_us, pilot_us):
+            new["good"] = 0
+        if new["good"] >= ENGAGE_FRAMES:
+            new["state"], new["good"], new["pilot_us"] = "ACTIVE", 0, pilot_us
+    return {**new, "age_ms": 0.0, "engage": engage}
     # END SOLUTION
 
 
@@ -275,20 +340,30 @@ check(failsafe_state)
 # %% [markdown]
 # ### See it: dropouts and a takeover
 #
-# Six seconds with a short dropout, a long one, a host that disengages and engages again, and at the end a pilot who
-# moves a stick while the host still sends engage.
+# Six seconds with a short dropout, a long one, a host that disengages and asks with the wrong throttle, one that asks
+# with the right one, and at the end a pilot who moves a stick while the host still sends engage.
 
 # %% figure="takeover"
 memory, states = switched_on(), []
-for valid, engage, pilot_moved in scene_of_faults():
-    memory = failsafe_state(memory, FRAME_US / 1000.0, valid, engage, pilot_moved)
+for command_us, engage, pilot_us in scene_of_faults():
+    memory = failsafe_state(memory, FRAME_US / 1000.0, command_us, engage, pilot_us)
     states.append(memory["state"])
 plot_takeover(scene_of_faults(), states)
 
 # %% [markdown]
-# *Alternative text: state over time; it goes from SAFE to ACTIVE, shortly to HOLD and back, then over HOLD to LOST,
-# stays LOST although commands come again, goes over SAFE to ACTIVE after the host disengaged, and drops to SAFE in the
-# frame in which the pilot moves a stick, and stays there.*
+# *Alternative text: state over time; it goes from SAFE to ACTIVE, stays there through a short dropout, goes to LOST in
+# a long one, stays LOST although commands come again, goes to SAFE when the host disengages, stays SAFE while it asks
+# with the wrong throttle, goes to ACTIVE with the right one, and drops to SAFE in the frame in which the pilot moves a
+# stick, and stays there.*
+
+# %% [markdown]
+# The kit's `Safety` is the model of the board's program; tests compare the two, trace by trace. The same six seconds
+# through it, with your course's numbers:
+
+# %%
+board = board_states(scene_of_faults())
+agree = sum(mine == its for mine, its in zip(states, board, strict=False))
+print(f"The board's machine is in the same state in {agree} of {len(board)} frames")
 
 # %% [markdown]
 # ## 4. Can the picture be trusted?
@@ -365,8 +440,8 @@ plot_monitor(ssim, alarm, parts, 0.7)
 # %% [markdown]
 # ## Questions
 #
-# **1.** A command is lost now and then. Why does the board hold the last command for a while and not go to idle
-# immediately? And why does it not hold it for two seconds? Give numbers: how far does the aircraft fly at 7 m/s until
+# **1.** A command is lost now and then. Why does the board keep the last command for a while and not go to idle
+# immediately? And why does it not keep it for two seconds? Give numbers: how far does the aircraft fly at 7 m/s until
 # `LOST_MS`, and how far in two seconds?
 
 # %% [markdown] answer="q1"
@@ -408,7 +483,7 @@ plot_monitor(ssim, alarm, parts, 0.7)
 #    IDE.
 # 2. Put the probe on pin 11 and find the five pulses. Send 1400, 1600, 1500, 1500 as to the simulated board above: with
 #    `serial.Serial(PORT, 115200)` in its place, 3 s after opening it (that resets the board), and a sleep of 50 ms for
-#    each step. Measure each slot; the board's pulse is 400 us wide, whatever your course has. Trigger on the first
+#    each step. No pilot is measured here, so begin with 1000, 1500, 1500, 1500 until step 15: only idle engages. Measure each slot; the board's pulse is 400 us wide, whatever your course has. Trigger on the first
 #    pulse with infinite persistence: how wide is the jitter?
 # 3. Pull the USB cable while the board is ACTIVE. How long until the throttle slot is idle?
 #

@@ -296,38 +296,42 @@ def draw_safety(path: Path) -> str:
     """When the board believes the computer."""
     with drawing(path, 6.6, 2.5) as axes:
         (ax,) = axes.flat
-        bare(ax, (0.0, 14.2), (-0.9, 4.9))
-        places = {"BOOT": (1.2, 3.3), "SAFE": (5.2, 3.3), "LOST": (12.0, 0.7), "FAULT": (5.2, 0.7)}
+        bare(ax, (0.0, 14.2), (-1.4, 5.6))
+        places = {"BOOT": (1.2, 3.3), "SAFE": (5.2, 3.3), "LOST": (12.0, 0.2), "FAULT": (5.2, 0.7)}
         for name, (x, y) in places.items():
             box(ax, x, y, name, 2.0, 1.1)
         box(ax, 12.0, 3.3, "ACTIVE\nthe computer flies", 3.6, 1.1, facecolor=LIGHT)
         arrow(ax, (2.2, 3.3), (4.2, 3.3), "first tick")
-        arrow(ax, (6.2, 3.55), (10.2, 3.55), "engage switched on,\nthen 5 commands in 0.5 s")
-        arrow(ax, (10.2, 3.0), (6.2, 3.0), "engage off", shift=(0.0, -0.55))
-        arrow(ax, (12.0, 2.75), (12.0, 1.25), "200 ms silence", shift=(1.3, -0.2))
-        arrow(ax, (11.0, 0.9), (6.2, 2.75), "engage off", shift=(1.1, 0.0))
+        asks = "engage on, and in 0.5 s\n5 commands near\nthe pilot's sticks"
+        arrow(ax, (6.2, 3.55), (10.2, 3.55), asks)
+        ends = "engage off, or the pilot\nmoves a stick by 12 %"
+        arrow(ax, (10.2, 3.05), (6.2, 3.05), ends, shift=(0.55, -1.1))
+        arrow(ax, (12.0, 2.75), (12.0, 0.75), "200 ms silence", shift=(1.3, -0.2))
+        arrow(ax, (11.0, 0.2), (5.7, 2.75), "engage off", shift=(2.1, -0.35))
         arrow(ax, (5.2, 1.25), (5.2, 2.75), "engage off,\n1 s later", shift=(-0.95, -0.35))
         arrow(ax, (0.4, 0.7), (4.2, 0.7), "from any state", shift=(-0.3, 0.1))
         ax.text(
             0.4,
-            -0.2,
-            "5 commands out of\nrange in 1 s, or the\nprogram hung",
+            -0.4,
+            "5 commands out of\nrange in 1 s, memory\ndisturbed, or restart\nby the watchdog",
             fontsize=8.2,
             va="center",
         )
         ax.text(
             9.6,
-            -0.6,
+            -1.0,
             "outside ACTIVE: throttle idle, sticks in the middle",
             ha="center",
             fontsize=8.5,
             style="italic",
         )
     return """States of the board. After BOOT it is SAFE. Engage switched on and then 5 commands
-        within half a second make it ACTIVE, the only state in which the computer moves the slots.
-        Engage off leads back to SAFE. 200 milliseconds of silence lead to LOST; from there engage
-        off leads to SAFE. From any state five commands out of range within a second, or a program
-        that hung, lead to FAULT, which engage off ends one second later. Outside ACTIVE the
+        within half a second, all of them near the pilot's sticks, or idle and neutral where no
+        pilot is measured, make it ACTIVE, the only state in which the computer moves the slots.
+        Engage off, or a stick that the pilot moves by 12 percent, leads back to SAFE.
+        200 milliseconds of silence lead to LOST; from there engage off leads to SAFE. From any
+        state five commands out of range within a second, a disturbed memory, or a restart by the
+        watchdog lead to FAULT, which engage off ends one second later. Outside ACTIVE the
         throttle is idle and the sticks are in the middle."""
 
 

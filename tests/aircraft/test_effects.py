@@ -26,6 +26,7 @@ EFFECTS = {effect.name: effect for effect in CATALOGUE}
 SERVO, LINKAGE = (
     effect for effect in CATALOGUE if effect.name == "actuator_lag"
 )  # one effect in two forms
+DEAD_BAND, DEAD_ZONE = (effect for effect in CATALOGUE if effect.name == "deadband")
 STICKS = np.random.default_rng(5).uniform(-1.0, 1.0, (50, 4)) * [0.5, 1.0, 1.0, 1.0] + [
     0.5,
     0.0,
@@ -555,7 +556,7 @@ def test_a_deadband_swallows_small_sticks_only():
     to either side; at its edge a half by definition. The throttle has no band.
     """
     K = SimpleNamespace(deadband=0.1)
-    pass_of = EFFECTS["deadband"].command_map
+    pass_of = DEAD_BAND.command_map
     small, large = np.array([[0.03, 0.05, -0.05, 0.02]]), np.array([[0.03, 0.15, -0.4, 1.0]])
     assert pass_of(TIMES[:1], small, K) == pytest.approx(
         np.array([[0.03, 0.0, 0.0, 0.0]]), abs=0.01 * 0.05
@@ -564,6 +565,18 @@ def test_a_deadband_swallows_small_sticks_only():
     assert pass_of(TIMES[:1], np.full((1, 4), 0.1), K)[0, 1:] == pytest.approx(
         np.full(3, 0.05), abs=1e-6
     )
+
+
+def test_a_dead_zone_takes_its_size_from_every_stick():
+    """By hand: 0.3 - 0.1, -(0.4 - 0.1), nothing of 0.05; the throttle has none, and without a size
+    everything passes.
+    """
+    sticks = np.array([[0.03, 0.3, -0.4, 0.05]])
+    pass_of = DEAD_ZONE.command_map
+    assert pass_of(TIMES[:1], sticks, SimpleNamespace(dead_zone=0.1)) == pytest.approx(
+        np.array([[0.03, 0.2, -0.3, 0.0]]), abs=1e-12
+    )
+    assert pass_of(TIMES[:1], sticks, SimpleNamespace(dead_zone=0.0)) == pytest.approx(sticks)
 
 
 @pytest.mark.parametrize(

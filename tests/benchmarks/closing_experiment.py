@@ -1,28 +1,35 @@
 """The closing experiment: hidden aircraft and effects -> landings by the expert before and after.
 
-    python -m tests.benchmarks.closing_experiment --pairs 30 --workers 2 --seed 31000 --out DIR
+    python -m tests.benchmarks.closing_experiment --seed S --workers 2 --out pairs.jsonl
+    python -m tests.benchmarks.closing_experiment --seed S --out pairs.jsonl --summary
 
 Every pair is an aircraft that JSBSim flies and an effect hidden in it; the kit's own simulator
 flies nothing here. Half of the effects have a size between just visible and plain to see, as in all
 hidden flights, the others one that is plain to see. Of each pair:
 
 1. a baseline flight without the effect gives the nominal model, model.toml;
-2. a diagnosis flight with the effect, the usual excited figure eight, is studied as by `gap`, which
-   names the effect; the improved model, model_with_effect.toml, is the nominal one with it (where
-   no effect is found, the nominal one itself);
-3. with the effect present, a minute after the start, the aircraft is landed by the expert designed
-   on the nominal model, by that on the improved one, and by that on the truth: the aircraft's own
-   coefficients and the effect's own size in the kit's units. All have the same starts and noise.
+2. with the effect, a minute after the start, the aircraft is landed by the expert designed on it;
+3. a minute of the usual excited figure eights with the effect is studied as by `gap`; the report
+   proposes a manoeuvre, which a simulated pilot flies for 45 s (the first proposed one that stays
+   in the hall; the figure eights again where it proposes none);
+4. both flights together are studied as by `gap --improve`, which names the effect and writes
+   model_improved.toml;
+5. landed again by the expert designed on that, and by the one designed on the truth: the
+   aircraft's own coefficients and the effect's own size in the kit's units. All have the same
+   starts and noise.
 
-Success, absolute lateral deviation (ALD) and sink rate are those of the landing task. DIR keeps the
-result of each pair, so that a study can be stopped and resumed; it ends with pairs.csv,
-summary.json and landings.png. All flights are simulated.
+Success, absolute lateral deviation (ALD) and sink rate are those of the landing task. Pairs come in
+a random order, and the file keeps one line of JSON for each, so a study that was stopped is a fair
+sample and can be gone on with. The summary stands beside it: .csv, .json and .png. All flights are
+simulated.
 """
 
 import argparse
 import csv
 import json
+import os
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -39,6 +46,7 @@ from falconwing_kit.control.expert import LandingExpert
 from falconwing_kit.control.loops import LINK_DELAY_S
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write
+from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import euler_from_rotation, rotation_world_body, wrap_angle
 from falconwing_kit.core.messages import Command, Observation, State
 from falconwing_kit.flight.judges import LandingEvaluator
@@ -46,20 +54,33 @@ from falconwing_kit.flight.loop import Pilot
 from falconwing_kit.flight.tasks.landing import DISTANCE, HEIGHT, SPREAD
 from falconwing_kit.flight.trial import TrialSetup, trial_seed
 from falconwing_kit.flight.world import SimulatedWorld
+from falconwing_kit.gap.advice import advise
 from falconwing_kit.gap.study import GapStudy, gap_record, study_gap
 from falconwing_kit.scene.camera import PinholeCamera
-from falconwing_kit.sysid.model_file import read_model, write_fitted_model, write_model
-from falconwing_kit.tools.jobs.result_cache import ResultCache
+from falconwing_kit.sysid.model_file import read_model, write_model
+from falconwing_kit.tools.jobs.pool import WorkerLostError
 from falconwing_kit.tools.jobs.run import parallel_map
+from falconwing_kit.tools.reports.gap_report import write_best_model
 from falconwing_kit.tools.reports.page import ACCENT, MEASURED, PREDICTED, figure
 from falconwing_kit.tools.trials.trials import fly_trial
+from tests.diagnosis_pilot import diagnosis_pilot
 from tests.hidden_effects import EFFECTS, IN_CATALOGUE, LEAD, Acting
-from tests.hidden_flights import make_case
-from tests.jsbsim_aircraft import STEP, STICKS, JsbsimAircraft, kit_state, new_fdm
+from tests.hidden_flights import HiddenCase, fly_on, make_case
+from tests.jsbsim_aircraft import (
+    STEP,
+    STICKS,
+    JsbsimAircraft,
+    figure_eights,
+    kit_state,
+    new_fdm,
+)
 
 EXPERTS = ("nominal", "improved", "truth")
 NOISES = ("marker", "hybrid")  # of the flights that are identified, in turn
 PLAIN = (0.6, 1.0)  # of the size that is plain to see
+USUAL_S, DIAGNOSIS_S = 60.0, 45.0  # of the flight before the report's proposal, and of that
+PROPOSED = 3  # manoeuvres tried, the best first
+PAIR_S = 90.0  # a pair begins only where so much of the budget is left
 LANDINGS = 5  # of each expert and pair
 FLOWN_S = 60.0  # of the flight before the landing begins: a battery has sagged for a minute
 FLIGHT_S = 12.0  # of a landing, at most
@@ -235,27 +256,27 @@ def draw_pairs(count: int, seed: int, landings: int = LANDINGS) -> list[Pair]:
     ]
 
 
-def fly_pair(pair: Pair, models: str = "") -> dict[str, Any]:
-    """Identify, diagnose and land one pair.
-
-    Args:
-        pair: which.
-        models: folder that keeps the model files of the pair; empty for none.
+def fly_pair(pair: Pair) -> dict[str, Any]:
+    """Land, diagnose, improve and land one pair.
 
     Returns:
-        Verdict, and per expert the landings or the sentence why it was refused.
+        Verdicts, and per expert the landings or the sentence why it was refused.
     """
+    begun = time.process_time()
     try:
-        case = make_case(pair.seed, pair.effect, pair.noise, size=pair.size)
+        case = make_case(pair.seed, pair.effect, pair.noise, size=pair.size, flight_seconds=USUAL_S)
     except InputError:  # no flight with so large an effect stays in the hall
-        case = make_case(pair.seed, pair.effect, pair.noise)
+        case = make_case(pair.seed, pair.effect, pair.noise, flight_seconds=USUAL_S)
     size, kit = case.truth["size"], case.truth["kit"]
     truth = truth_model(case.aircraft, pair.effect, size, kit)
-    study = study_gap(case.calm, case.flight)
+    first = study_gap(case.calm, case.flight)
+    flown, both = fly_proposed(case, first)
+    study = first if both is None else study_gap(case.calm, both)
     record = gap_record(study)
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(models or name) / f"{pair.seed}_{pair.effect}"
-        nominal, improved = write_models(study, folder)
+        nominal, improved = Path(name) / "model.toml", Path(name) / "model_improved.toml"
+        write_model(nominal, first.base.found)
+        write_best_model(study, improved)
         by_expert = {
             "nominal": read_model(nominal).model,
             "improved": read_model(improved).model,
@@ -269,38 +290,33 @@ def fly_pair(pair: Pair, models: str = "") -> dict[str, Any]:
         "noise": pair.noise,
         "plain": pair.plain,
         "size": json.loads(json.dumps(size)),
+        "first_verdict": first.naming.verdict,
+        "first_named": [c.effect.name for c in first.naming.chosen],
+        "diagnosis_flight": flown,
         "verdict": record["verdict"],
         "named": record["effects"],
         "parameters": {key: p["value"] for key, p in record["parameters"].items()},
         "kit_size": json.loads(json.dumps(kit)),
         "landings": landings,
+        "cpu_s": time.process_time() - begun,
     }
 
 
-def write_models(study: GapStudy, folder: Path) -> tuple[Path, Path]:
-    """Write the nominal model and, where an effect was found, the improved one.
-
-    Of an ambiguous set the likeliest effect is taken.
+def fly_proposed(case: HiddenCase, study: GapStudy) -> tuple[str, FlightTable | None]:
+    """Fly the manoeuvre that a report proposes for the next flight.
 
     Returns:
-        Both files, the nominal one twice where nothing was found.
+        Its name, and the flight of the case followed by it; None where none stayed in the hall.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    nominal, improved = folder / "model.toml", folder / "model_with_effect.toml"
-    write_model(nominal, study.base.found)
-    closed = study.closed
-    if closed.model is None or closed.confidence is None:
-        return nominal, nominal
-    write_fitted_model(
-        improved,
-        closed.model,
-        closed.confidence,
-        flights=study.names,
-        train_chi2=closed.before.chi2,
-        held_out_chi2=closed.after.chi2,
-        sigma=study.base.found.sigma,
-    )
-    return nominal, improved
+    found, seed = study.naming.chosen, [case.truth["seed"], 43]
+    places = [np.array([c.values[n] for n in c.effect.place]) for c in found if c.effect.place]
+    for advice in advise(study.base, study.naming)[:PROPOSED]:
+        pilot = diagnosis_pilot(advice.manoeuvre, places[0] if places else None)
+        both = fly_on(case, pilot, DIAGNOSIS_S, np.random.default_rng(seed))
+        if both is not None:
+            return advice.manoeuvre.name, both
+    rng = np.random.default_rng(seed)
+    return "figure eights", fly_on(case, figure_eights(rng), DIAGNOSIS_S, rng)
 
 
 def land(task: JsbsimLanding, model: Model, count: int) -> list[dict[str, Any]]:
@@ -358,6 +374,7 @@ def summarise(rows: Sequence[dict[str, Any]], seed: int = 0) -> dict[str, Any]:
         )
     right = [row for row in rows if row["verdict"] == "named"]
     found["named"] = len(right)
+    found["named_first"] = sum(row["first_verdict"] == "named" for row in rows)
     found["named_rightly"] = sum(row["named"] == [_class(row["effect"])] for row in right)
     return found
 
@@ -459,66 +476,33 @@ def draw(rows: Sequence[dict[str, Any]], found: dict[str, Any], path: Path) -> N
             axis.set_xlim(-0.6, len(ordered) - 0.4)
 
 
-def write_results(rows: Sequence[dict[str, Any]], folder: Path) -> dict[str, Any]:
-    """Write pairs.csv, summary.json and landings.png; returns the summary."""
+def write_results(rows: Sequence[dict[str, Any]], out: Path) -> dict[str, Any]:
+    """Write the table, the summary and the figure beside the file of pairs; returns the summary."""
     found = summarise(rows)
-    draw(rows, found, folder / "landings.png")
-    with atomic_write(folder / "pairs.csv", text=True) as file:
+    draw(rows, found, out.with_suffix(".png"))
+    with atomic_write(out.with_suffix(".csv"), text=True) as file:
         writer = csv.writer(file, lineterminator="\n")
-        head = ["seed", "effect", "noise", "verdict", "named"]
+        head = ["seed", "effect", "noise", "diagnosis_flight", "verdict", "named"]
         for name in EXPERTS:
             head += [f"{name}_successes", f"{name}_ald_m", f"{name}_sink_rate_m_s"]
         writer.writerow(head)
         for row in rows:
-            line = [
-                row["seed"],
-                row["effect"],
-                row["noise"],
-                row["verdict"],
-                "+".join(row["named"]),
-            ]
+            line = [row[key] for key in head[:5]] + ["+".join(row["named"])]
             for name in EXPERTS:
                 landed = [one for one in row["landings"][name] if one["success"]]
                 line += [len(landed), _mean(landed, "ald_m"), _mean(landed, "sink_rate_m_s")]
             writer.writerow(line)
-    with atomic_write(folder / "summary.json", text=True) as file:
+    with atomic_write(out.with_suffix(".json"), text=True) as file:
         json.dump(found, file, indent=1)
     return found
 
 
-def main() -> None:
-    """Fly the experiment and print its table."""
-    from tqdm import tqdm
-
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--pairs", type=int, default=30)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=31_000)
-    parser.add_argument("--landings", type=int, default=LANDINGS, help="of each expert and pair")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--report", action="store_true", help="of the pairs flown so far, no more")
-    asked = parser.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
-    pairs = draw_pairs(asked.pairs, asked.seed, asked.landings)
-    work = partial(fly_pair, models=str(asked.out / "models"))
-    cache = asked.out / "pairs"
-    if asked.report:
-        known = ResultCache(cache, work)
-        rows = [row for pair in pairs for row in known.read(pair) or ()]
-        if not rows:
-            raise SystemExit(f"{asked.out}: no pair is finished yet")
-    else:
-        rows = []
-        with tqdm(total=len(pairs), unit="pair") as bar:
-            for _, row in parallel_map(work, pairs, asked.workers, out=cache):
-                if isinstance(row, Exception):
-                    raise row
-                rows.append(row)
-                bar.update()
-    rows.sort(key=lambda row: row["seed"])
-    found = write_results(rows, asked.out)
-    print(f"SIMULATED by JSBSim: {found['pairs']} pairs, named {found['named']}, rightly "
-          f"{found['named_rightly']}")  # fmt: skip
+def print_results(found: dict[str, Any]) -> None:
+    """The summary in lines."""
+    print(
+        f"SIMULATED by JSBSim: {found['pairs']} pairs; named {found['named_first']} after the first"
+        f" flight, {found['named']} after the diagnosis flight, rightly {found['named_rightly']}"
+    )
     for name in EXPERTS:
         one = found["experts"][name]
         print(
@@ -526,16 +510,58 @@ def main() -> None:
             f"{one['successes_by_round']}  ALD {100.0 * (one['ald_m'] or np.nan):.1f} cm  sink "
             f"{one['sink_rate_m_s'] or np.nan:.2f} m/s"
         )
-        if name != "truth":
-            d = one["ald_difference_m"]
-            if d["mean"] is not None:
-                print(
-                    f"          lost to the truth's expert by round"
-                    f" {one['landings_lost_by_round']}; ALD difference"
-                    f" {100.0 * d['mean']:+.1f} cm, 95 % between"
-                    f" {100.0 * d['low95']:+.1f} and {100.0 * d['high95']:+.1f} cm"
-                )
-    print(f"figure: {asked.out / 'landings.png'}")
+        if name == "truth" or one["ald_difference_m"]["mean"] is None:
+            continue
+        d, s = one["ald_difference_m"], one["sink_difference_m_s"]
+        print(
+            f"          lost to the truth's expert by round {one['landings_lost_by_round']}; in "
+            f"pairs ALD {100.0 * d['mean']:+.1f} cm (95 %: {100.0 * d['low95']:+.1f} to "
+            f"{100.0 * d['high95']:+.1f}), sink {s['mean']:+.3f} m/s (95 %: {s['low95']:+.3f} to "
+            f"{s['high95']:+.3f})"
+        )
+
+
+def _fly_until(pair: Pair, begin_by: float) -> dict[str, Any] | None:
+    """The pair's row; None where its turn comes after a time [s of time.time()]."""
+    return fly_pair(pair) if time.time() < begin_by else None
+
+
+def main() -> None:
+    """Fly the experiment, or go on with it, and write and print its results."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--seed", type=int, required=True, help="of the first pair")
+    parser.add_argument("--pairs", type=int, default=30)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--landings", type=int, default=LANDINGS, help="of each expert and pair")
+    parser.add_argument("--budget-s", type=float, default=np.inf, help="no longer than about this")
+    parser.add_argument("--out", type=Path, required=True, help="JSON lines; gone on with")
+    parser.add_argument("--summary", action="store_true", help="of the pairs flown so far, no more")
+    asked = parser.parse_args()
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # the workers inherit it: one core each
+    begin_by = time.time() + asked.budget_s - PAIR_S
+    rows = []
+    if asked.out.exists():
+        rows = [json.loads(line) for line in asked.out.read_text(encoding="utf-8").splitlines()]
+    known = {row["seed"] for row in rows}
+    pairs = [p for p in draw_pairs(asked.pairs, asked.seed, asked.landings) if p.seed not in known]
+    if not asked.summary:
+        asked.out.parent.mkdir(parents=True, exist_ok=True)
+        with asked.out.open("a", encoding="utf-8") as file:
+            work = partial(_fly_until, begin_by=begin_by)
+            for pair, row in parallel_map(work, pairs, asked.workers):
+                if isinstance(row, WorkerLostError):  # left for the next run
+                    print(f"{pair.seed} {pair.effect}: {row}", flush=True)
+                elif row is not None:
+                    rows.append(row)
+                    file.write(json.dumps(row) + "\n")
+                    file.flush()
+                    print(f"{pair.seed} {pair.effect}: {row['cpu_s']:.0f} CPU s", flush=True)
+    if not rows:
+        raise SystemExit(f"{asked.out}: no pair is finished yet")
+    rows.sort(key=lambda row: row["seed"])
+    print_results(write_results(rows, asked.out))
+    print(f"figure: {asked.out.with_suffix('.png')}")
 
 
 if __name__ == "__main__":

@@ -92,6 +92,14 @@ def test_dead_band_is_passed_over():
     assert commands[3] == pytest.approx(0.0, abs=1e-2)
 
 
+def test_dead_zone_is_added_to_every_command():
+    """Positions 0.30 and -0.06 behind a zone of 0.10: commands 0.40 and -0.16, by the inverse."""
+    command_map = CommandMap(with_effect("deadband", dead_zone=0.10))
+    commands = command_map.commands(np.array([0.50, 0.30, -0.06, 0.0]))
+    assert commands[:3] == pytest.approx([0.50, 0.40, -0.16], abs=2e-3)
+    assert abs(commands[3]) <= 0.10 + 1e-9
+
+
 def test_no_effect_changes_nothing():
     """The same arrays and the same model come back."""
     command_map, values = CommandMap(rates_model()), np.array([0.4, 0.1, -0.2, 0.0])

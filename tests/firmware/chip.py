@@ -37,6 +37,18 @@ class ProbedBoard(SimulatedBoard):
         at = np.array([round(when * CLOCK_HZ) - self._past for when in t], dtype=np.uint64)
         self._sim.sim_drive_pilot(self._handle, at, np.array(levels, dtype=np.uint8), len(at))
 
+    def stop_pulses(self) -> None:
+        """From now on Timer1's interrupt does nothing; a reset ends it."""
+        self._sim.sim_stop(self._handle, 1)
+
+    def flip(self, address: int, bit: int) -> None:
+        """Turn over one bit of memory, or of a register."""
+        self._sim.sim_flip(self._handle, address, bit)
+
+    def peek(self, address: int) -> int:
+        """A byte of memory, or a register."""
+        return int(self._sim.sim_peek(self._handle, address))
+
     @property
     def pin_level(self) -> int:
         """Level of the PPM pin, 0 or 1."""
@@ -95,11 +107,12 @@ class Bench:
         return arrived
 
     def engage(self) -> float:
-        """Hand back, then the edge and five commands; ACTIVE afterwards. When the last command had
-        arrived [s].
+        """Hand back, the edge and five commands at idle and neutral, then FLOWN; ACTIVE afterwards.
+        When the last command had arrived [s].
         """
         self.fly(1, SAFE, engage=False)
-        arrived = self.fly(6)
+        self.fly(5, SAFE)
+        arrived = self.fly(2)
         assert self.status().state == "ACTIVE"
         return arrived
 

@@ -132,7 +132,8 @@ def test_eight_slots_fit():
     with ProbedBoard(build_firmware(["CHANNELS=8"])) as board:
         bench = Bench(board)
         bench.fly(1, (1000, *[1500] * 7), engage=False)
-        bench.fly(15, (2000,) * 8)
+        bench.fly(5, (1000, *[1500] * 7))
+        bench.fly(10, (2000,) * 8)
         frame = board.ppm_frames()[-1]
     assert len(frame.slots_us) == 8 and len(frame.gap_us) == 9
     assert frame.slots_us == pytest.approx([2000.0] * 8, abs=MICROSECOND)

@@ -7,7 +7,7 @@ import numpy as np
 from falconwing_kit.tools.bridge.simulated_board import SimulatedBoard
 from falconwing_kit.trainer_port.protocol import Status, encode_channels
 from falconwing_kit.trainer_port.safety import Safety
-from tests.firmware.chip import Bench, is_safe, require_tools, slots
+from tests.firmware.chip import SAFE, Bench, is_safe, require_tools, slots
 
 TRACES, COMMANDS = 30, 60
 PROGRAM_US = 400  # a command takes effect between its last byte's arrival and so long after
@@ -36,6 +36,9 @@ def adversary(rng: np.random.Generator) -> list[tuple[float, int, bool, tuple[in
         step = 1 if rng.random() < 0.95 else int(rng.choice([0, -1, 2, 100, 32767, 32768, 40000]))
         wish = rng.random() < ((0.92 if calm else 0.7) if wish else 0.6)
         value = rng.integers(1000, 2001, 4)
+        if rng.random() < 0.9:  # near enough to engage, near the limits now and then
+            value = np.array(SAFE) + rng.integers(-100, 101, 4)
+            value[0] = 1000 + rng.choice([0, 10, 20, 21], p=[0.6, 0.2, 0.15, 0.05])
         if rng.random() < 0.04:
             value[rng.integers(4)] = rng.choice([850, 2150, 899, 2101])
         plan.append((gap * 1e-3 + rng.uniform(0, 0.002), step, wish, tuple(value.tolist())))

@@ -16,6 +16,7 @@ from falconwing_kit.gap.study import GapStudy, study_gap
 from tests.sysid.simulated import drawn, fly_figure_eights, measured
 
 EFFECTS = {effect.name: effect for effect in (*CATALOGUE, *GENERIC_EFFECTS)}
+EFFECTS["deadband"] = next(e for e in CATALOGUE if e.name == "deadband")  # the first of its forms
 
 
 @cache

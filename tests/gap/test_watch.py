@@ -32,7 +32,7 @@ HEADER = b"t,px,py,pz,roll,pitch,yaw,throttle,aileron,elevator,rudder\n"
 
 def free_monitor(step: float = 12.0, spread: float = 12.0) -> Monitor:
     """A monitor of the free body; naming is replaced in these tests."""
-    base = SimpleNamespace(result=SimpleNamespace(model=FREE_BODY), prior=None)
+    base = SimpleNamespace(result=SimpleNamespace(model=FREE_BODY), parameter_prior=None)
     return Monitor(base, noise(), step, spread, 3600.0)  # type: ignore[arg-type]
 
 
@@ -251,7 +251,7 @@ def test_thrust_loss_raises_an_alarm_and_a_calm_flight_none():
         result=SimpleNamespace(model=model),
         noise=WHITE,
         found=SimpleNamespace(sigma=np.repeat(MARKER, 3), prepared=(prepare(calm),)),
-        prior=Prior(dict(model.values), sigma),
+        parameter_prior=Prior(dict(model.values), sigma),
     )
     monitor = build_monitor(base, [calm])  # type: ignore[arg-type]
 

@@ -425,6 +425,62 @@ def test_blending_works_on_several_pixels_at_once():
     )
 
 
+def test_projection_works_on_several_gaussians_at_once():
+    """The compiler's own listing: packed square roots, one for each of four, or the loop lost its
+    vectors.
+    """
+    project = njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})(
+        fast.project_block.py_func
+    )
+    block = np.ones(fast.BLOCK_COLUMNS * fast.BLOCK)
+    project(fast.BLOCK, np.eye(3), (50.0, 50.0, 30.0, 20.0, 60, 40), block)
+    listing = "".join(project.inspect_asm().values())
+    assert len(re.findall(r"\b(?:v?sqrtpd|fsqrt\s+v\d+\.2d)\b", listing)) >= 4
+
+
+def test_a_depth_that_no_float32_holds_is_not_drawn():
+    """Seen from x = -3e38 m a Gaussian at 3e38 m is 6e38 m away, more than a float32 holds: there
+    is nothing of it, and its neighbour at 5 m is drawn as alone.
+    """
+    scene = GaussianScene(
+        [[3e38, 0.0, 1.5], [5.0, 0.0, 1.5]],
+        [[1, 0, 0, 0]] * 2,
+        [[0.2] * 3] * 2,
+        [0.9] * 2,
+        np.zeros((2, 1, 3)),
+    )
+    pose = AHEAD.copy()
+    pose[0, 3] = -3e38
+    near = render_fast(scene.selected(np.array([False, True])), SMALL, pose)
+    assert near[1].any()
+    require_same(render_fast(scene, SMALL, pose), near)
+
+
+@pytest.mark.parametrize("margin", [0.9, 1.1])
+def test_an_ellipse_that_ends_at_the_edge(margin):
+    """By hand: a ball of 10 px whose centre is 0.9 of its reach, sqrt(2 ln 255) sigma, left of the
+    image shows in its first column; at 1.1 of it nothing does. So on all four sides.
+    """
+    camera = PinholeCamera(100.0, 100.0, 30.0, 20.0, 60, 40)
+    sigma = math.sqrt(10.0**2 + 0.3)
+    reach = margin * math.sqrt(2.0 * math.log(255.0)) * sigma
+    for u, v in ((-reach, 20.0), (60.0 + reach, 20.0), (30.0, -reach), (30.0, 40.0 + reach)):
+        # the covariance grows off the axis, as (1 + (x/z)^2): the ball shrinks by it
+        x, y = (u - 30.0) / 100.0, (v - 20.0) / 100.0
+        wide = math.sqrt(1.0 + clamp_to_margin(x, 0.3) ** 2 + clamp_to_margin(y, 0.2) ** 2)
+        scene = GaussianScene(
+            [[x * 10.0, y * 10.0, 10.0]], [[1, 0, 0, 0]], [[1.0 / wide] * 3], [1.0],
+            np.zeros((1, 1, 3)),
+        )  # fmt: skip
+        alpha = render_fast(scene, camera, np.eye(4))[1]
+        assert alpha.any() == (margin < 1.0)
+
+
+def clamp_to_margin(ratio, half):
+    """The ratio x/z within 1.3 half fields of view, up to which the projection is linearised."""
+    return min(max(ratio, -1.3 * half), 1.3 * half)
+
+
 @pytest.mark.skipif(
     sys.platform == "win32", reason="the folders are made unusable in the way of Unix"
 )

@@ -6,6 +6,8 @@ The real library is compared in tests/benchmarks/bench_gsplat_backend.py.
 
 import sys
 import types
+from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from falconwing_kit.scene import (
     gsplat_backend,
     nose_camera_pose,
     render,
+    render_batch,
 )
 from falconwing_kit.scene.reference import GaussianTensors, render_reference, render_tensors
 
@@ -98,11 +101,13 @@ def test_arguments_reach_gsplat_in_its_frames(stand_in, antialiased):
     """The stand-in inverts the view matrix and draws with the reference, which gsplat's own images
     have tested.
     """
-    got = gsplat_backend.render_gsplat(scene(), CAMERA, POSE, (0.1, 0.2, 0.3), antialiased)
-    expected = render_reference(scene(), CAMERA, POSE, (0.1, 0.2, 0.3), antialiased)
+    background = (0.1, 0.2, 0.3)
+    frame = render(scene(), CAMERA, POSE, "gsplat", background, antialiased)
+    expected = render_reference(scene(), CAMERA, POSE, background, antialiased)
     assert expected[1].max() > 0.5
-    for image, wanted in zip(got, expected, strict=True):
+    for image, wanted in zip((frame.rgb, frame.alpha, frame.depth), expected, strict=True):
         assert image.dtype == np.float32 and image.shape == wanted.shape
+        assert image.flags.c_contiguous
         assert np.allclose(image, wanted, atol=1e-4)  # the pose is inverted twice in float32
 
 
@@ -115,6 +120,74 @@ def test_many_poses_go_in_one_call(stand_in):
         rgb, covered, _ = render_reference(scene(), CAMERA, pose, (0.0, 0.0, 0.0))
         assert np.allclose(colour[..., :3].numpy(), rgb, atol=1e-4)
         assert np.allclose(alpha[..., 0].numpy(), covered, atol=1e-4)
+
+
+@pytest.mark.parametrize("limit", [1, 1 << 30], ids=["a pose a call", "one call"])
+def test_a_batch_is_its_poses_one_by_one(stand_in, monkeypatch, limit):
+    """`render_batch` equals `render` at each pose, however many poses fit in a call. By hand: a
+    colour of 3 is cut at 1.
+    """
+    monkeypatch.setattr(gsplat_backend, "MAX_CALL_BYTES", limit)
+    bright = replace(scene(), sh=scene().sh + 8.0)
+    poses = np.array([nose_camera_pose((x, 0.1, 1.0), 0.2, 0.0, 0.1) for x in (0.5, 0.3, 0.0)])
+    frames = render_batch(bright, CAMERA, poses, "gsplat", (0.1, 0.2, 0.3))
+    assert len(frames) == 3 and frames[0].rgb.max() == 1.0
+    for frame, pose in zip(frames, poses, strict=True):
+        alone = render(bright, CAMERA, pose, "gsplat", (0.1, 0.2, 0.3))
+        for name in ("rgb", "alpha", "depth"):
+            assert np.array_equal(getattr(frame, name), getattr(alone, name))
+    assert not np.array_equal(frames[0].rgb, frames[1].rgb)
+
+
+def test_calls_of_gsplat_fit_in_memory():
+    """By hand: 20 Gaussians of nine coefficients expand to 20 (27 + 3 + 16) numbers, and 16 x 11
+    pixels to 1760: 10,720 bytes a pose, of which 100,162 fit in 2^30.
+    """
+    assert gsplat_backend.poses_per_call((scene(),), CAMERA) == 100_162
+    huge = PinholeCamera(9.0, 9.0, 8.0, 8.0, 16384, 16384)
+    assert gsplat_backend.poses_per_call((scene(),), huge) == 1
+
+
+def test_several_scenes_are_joined_on_the_gpu(stand_in, monkeypatch):
+    """A moving aircraft in a fixed hall, colours of another degree: the joined scene's image, and
+    the hall goes to the GPU once for all images.
+    """
+    monkeypatch.setattr(
+        GaussianScene, "joined", lambda *scenes: pytest.fail("joined on the processor")
+    )
+    uploaded = count_uploads(monkeypatch)
+    hall = scene()
+    for x in (1.5, 1.7):
+        leader = GaussianScene(
+            [[x, 0.1, 1.0]], [[1, 0, 0, 0]], [[0.1] * 3], [0.9], np.ones((1, 1, 3))
+        )
+        frame = render((hall, leader), CAMERA, POSE, "gsplat")
+        rgb, alpha, _ = render_reference(joined_by_hand(hall, leader), CAMERA, POSE, np.zeros(3))
+        assert np.allclose(frame.rgb, rgb.clip(0.0, 1.0), atol=1e-4)
+        assert np.allclose(frame.alpha, alpha, atol=1e-4)
+    assert [one is hall for one in uploaded].count(True) == 1
+
+
+def count_uploads(monkeypatch):
+    """The scenes that go to the GPU from now on, in their order."""
+    uploaded = []
+    upload = gsplat_backend._tensors.__wrapped__
+
+    def counted(one):
+        uploaded.append(one)
+        return upload(one)
+
+    monkeypatch.setattr(gsplat_backend, "_tensors", lru_cache(maxsize=4)(counted))
+    return uploaded
+
+
+def joined_by_hand(hall, leader):
+    """Both in one scene, the leader's colours filled up with zeros."""
+    sh = np.concatenate([hall.sh, np.pad(leader.sh, ((0, 0), (0, 8), (0, 0)))])
+    names = ("means", "quaternions", "scales", "opacities")
+    return GaussianScene(
+        *(np.concatenate([getattr(hall, n), getattr(leader, n)]) for n in names), sh
+    )
 
 
 def test_a_scene_goes_to_the_gpu_once(stand_in):
@@ -148,6 +221,21 @@ def test_gsplat_that_cannot_render_is_said_in_one_sentence(stand_in, broken, rea
         match=rf"^backend: expected gsplat to render one Gaussian, got.*{reason}.*'fast' runs",
     ) as caught:
         render(scene(), CAMERA, POSE, backend="gsplat")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_full_gpu_is_said_in_one_sentence(stand_in):
+    """torch's own error where the images do not fit, after the one Gaussian of the probe did."""
+    render(scene(), CAMERA, POSE, "gsplat")
+
+    def full(*args, **kwargs):
+        raise torch.cuda.OutOfMemoryError("CUDA out of memory.\n Tried to allocate 9 GiB")
+
+    stand_in.rasterization = full
+    with pytest.raises(
+        InputError, match=r"^backend: expected room for 2 images of 16x11"
+    ) as caught:
+        render_batch(scene(), CAMERA, [POSE, POSE], "gsplat")
     assert "\n" not in str(caught.value)
 
 

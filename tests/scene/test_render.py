@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.scene import BACKENDS, GaussianScene, PinholeCamera, nose_camera_pose, render
+from falconwing_kit.scene import (
+    BACKENDS,
+    GaussianScene,
+    PinholeCamera,
+    nose_camera_pose,
+    render,
+    render_batch,
+)
 
 CAMERA = PinholeCamera(50.0, 60.0, 4.5, 3.5, 9, 7)  # pixel (3, 4) looks straight ahead
 ON_THIS_MACHINE = ("reference", "fast", "auto")
@@ -83,6 +90,34 @@ def test_backends_see_one_hall(fov_deg):
     assert np.mean((exact.rgb - quick.rgb) ** 2) < 1e-6
     solid = exact.alpha > 0.5
     assert np.allclose(quick.depth[solid], exact.depth[solid], rtol=1e-3)
+
+
+@pytest.mark.parametrize("backend", ON_THIS_MACHINE)
+def test_a_batch_is_its_poses_one_by_one(backend):
+    """Each frame is the one that its pose gives alone, in their order."""
+    poses = [nose_camera_pose((x, 0.0, 1.0), 0.1, 0.0, 0.0) for x in (0.0, 0.5, 1.0)]
+    frames = render_batch(ball(), CAMERA, poses, backend, (0.0, 0.0, 1.0))
+    assert [f.rgb.shape for f in frames] == [(7, 9, 3)] * 3
+    for frame, pose in zip(frames, poses, strict=True):
+        alone = render(ball(), CAMERA, pose, backend, (0.0, 0.0, 1.0))
+        assert np.array_equal(frame.rgb, alone.rgb) and np.array_equal(frame.depth, alone.depth)
+    assert not np.array_equal(frames[0].rgb, frames[1].rgb)
+
+
+@pytest.mark.parametrize(
+    ("poses", "sentence"),
+    [
+        ([], r"Ts_world_camera: expected one pose \(4, 4\) or more in a list, got '\[\]'"),
+        (None, "Ts_world_camera: expected one pose .* got 'None'"),
+        (AHEAD, r"T_world_camera: expected shape \(4, 4\), got \(4\)"),
+        ([AHEAD, np.eye(3)], r"T_world_camera: expected shape \(4, 4\), got \(3, 3\)"),
+    ],
+)
+def test_a_batch_is_of_poses(poses, sentence):
+    """No pose, one pose without a list around it, and one of another shape among good ones."""
+    with pytest.raises(InputError, match=f"^{sentence}") as caught:
+        render_batch(ball(), CAMERA, poses)
+    assert "\n" not in str(caught.value)
 
 
 def changed(row, column, value):

@@ -16,6 +16,7 @@ import time
 import pytest
 
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log, recover
+from falconwing_kit.core.messages import Command
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.tools.bridge.simulated_board import BoardOnPty, SimulatedBoard
 from falconwing_kit.trainer_port.port import TrainerPort
@@ -47,6 +48,10 @@ class Port:
         self.port, self.log = port, log
     def send(self, t, command):
         self.port.poll()
+        pilot = self.port.pilot
+        if self.port.engagement != "engaged" and pilot is not None:
+            # Until the board follows: the pilot's own sticks, near which it engages.
+            command = self.port.calibration.command(pilot.channels_us)
         self.port.send(command, engage=True)
         while self.port.events:
             event = self.port.events.popleft()
@@ -96,6 +101,8 @@ def test_a_killed_host_leaves_a_safe_board_and_a_log(line, tmp_path):
     ) as host:
         try:
             tell(host, world)
+            with line.pause() as board:  # the SIMULATED pilot, who flies until the host does
+                board.set_pilot(load_calibration().channels_us(Command(0.5, 0.0, 0.0, 0.0)))
             while host.stdout.readline().strip() != "engaged":
                 assert host.poll() is None
                 tell(host, world)

@@ -58,9 +58,12 @@ class HostSafety:
             )
         )
 
-    def tick(self, now_us: int) -> tuple[int, ...] | None:
-        slots = (ctypes.c_uint16 * self._channels)()
-        silent = self._library.safety_tick(self._self, ctypes.c_uint32(now_us), slots)
+    def tick(self, now_us: int, pilot_us: Sequence[int] | None = None) -> tuple[int, ...] | None:
+        slots, sticks = (ctypes.c_uint16 * self._channels)(), pilot_us or ()
+        pilot = (ctypes.c_uint16 * max(len(sticks), 1))(*sticks)
+        silent = self._library.safety_tick(
+            self._self, ctypes.c_uint32(now_us), pilot, len(sticks), slots
+        )
         self.slots_us = tuple(slots)
         return None if silent else self.slots_us
 
@@ -71,6 +74,23 @@ class HostSafety:
     @property
     def fault(self) -> str:
         return FAULTS[self._library.safety_fault(self._self)]
+
+    @property
+    def has_pilot(self) -> bool:
+        return bool(self._library.safety_has_pilot(self._self))
+
+    @property
+    def pilot_took_over(self) -> bool:
+        return bool(self._library.safety_pilot_took_over(self._self))
+
+    @property
+    def size(self) -> int:
+        """Bytes of the object's memory."""
+        return self._library.safety_size()
+
+    def flip(self, byte: int, bit: int) -> None:
+        """Disturb the object's memory."""
+        self._library.safety_flip(self._self, byte, bit)
 
     def close(self) -> None:
         self._library.safety_free(self._self)

@@ -21,6 +21,7 @@ from falconwing_kit.trainer_port.usb import SerialLink, find_boards, permission_
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX")
 STICKS = Command(0.5, 0.1, -0.2, 0.3)
+HELD = (1510, 1540, 1410, 1640)  # sticks of the SIMULATED pilot, near them
 
 
 def wait_for(what, seconds: float = 20.0) -> bool:
@@ -40,6 +41,7 @@ def flown():
     clock = types.SimpleNamespace(t=10.0)
     link = SteppedBoard(PythonBoard(), lambda: clock.t)
     port = TrainerPort(link, now=lambda: clock.t)
+    link.board.set_pilot(HELD)
 
     def run(seconds, engage=None):
         for _ in range(round(seconds / 0.05)):
@@ -124,7 +126,7 @@ def test_the_serial_code_flies_a_board_behind_a_pseudo_terminal():
     with BoardOnPty(PythonBoard()) as line, TrainerPort(SerialLink(line.path)) as port:
         port.wait_ready(20.0)
         with line.pause() as board:
-            board.set_pilot((1100, 1500, 1600, 1700))
+            board.set_pilot(HELD)
 
         def flying():
             port.send(STICKS, engage=True)
@@ -133,7 +135,7 @@ def test_the_serial_code_flies_a_board_behind_a_pseudo_terminal():
             return port.engagement == "engaged" and port.pilot is not None
 
         assert wait_for(flying)
-        assert port.pilot.channels_us == (1100, 1500, 1600, 1700)
+        assert port.pilot.channels_us == HELD
         port.hand_back()
         assert wait_for(lambda: port.poll() is None and port.status.state == "SAFE")
 
@@ -170,6 +172,8 @@ def test_the_port_called_sim_is_the_firmware_behind_real_serial_code():
     """
     with open_port("sim") as port:
         port.wait_ready(20.0)
+        with port.simulation.pause() as board:
+            board.set_pilot(HELD)
 
         def flying():
             port.send(STICKS, engage=True)

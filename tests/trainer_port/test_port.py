@@ -18,6 +18,7 @@ from falconwing_kit.trainer_port.ppm import load_calibration
 from falconwing_kit.trainer_port.protocol import (
     CommandFrame,
     Deframer,
+    PilotFrame,
     Status,
     SyncReply,
     SyncRequest,
@@ -206,6 +207,58 @@ def test_a_board_that_stopped_following_is_not_taken_back_by_itself(board, port,
     port.send(STICKS, engage=False)
     port.send(STICKS, engage=True)
     assert port.engagement == "asking"
+
+
+@pytest.mark.parametrize("was_engaged", [True, False])
+def test_a_pilot_who_took_over_keeps_the_aircraft(board, port, was_engaged):
+    """The event names the pilot, even where no STATUS has shown ACTIVE in between; nothing is asked
+    again.
+    """
+    if was_engaged:
+        fly(board, port)
+    else:
+        step(board, port, SAYS)
+        port.send(STICKS, engage=True)
+        step(board, port, replace(SAYS, last_sequence=101, accepted=41))
+        assert port.engagement == "engaging"
+    status = replace(SAYS, last_sequence=106, accepted=46, pilot_took_over=True)
+    step(board, port, status)
+    assert port.engagement == "dropped"
+    assert "pilot took over" in [event.name for event in port.events]
+    for k in range(50):
+        port.send(STICKS, engage=True)
+        step(board, port, replace(status, last_sequence=107 + k, accepted=47 + k))
+        assert not board.commands[-1].engage
+
+
+@pytest.mark.parametrize(
+    ("throttle", "pilot_us", "says", "reason"),
+    [
+        (0.5, None, {}, "throttle 1500 us, without a pilot's signal 1000 +- 20 us"),
+        (0.02, None, {}, ""),
+        (0.5, (1450, 1560, 1420, 1640), {"has_pilot": True}, ""),
+        (
+            0.5,
+            (1300, 1560, 1520, 1640),
+            {"has_pilot": True},
+            "throttle 1500 us, the pilot's stick 1300 +- 100 us; "
+            "elevator 1400 us, the pilot's stick 1520 +- 100 us",
+        ),
+        (0.5, None, {"engages_without_pilot": True}, ""),
+    ],
+)
+def test_why_the_board_does_not_engage_is_said(board, port, throttle, pilot_us, says, reason):
+    """By hand from the shipped calibration; an event each second, as long as it is asked."""
+    sticks = Command(throttle, 0.1, -0.2, 0.3 if pilot_us else 0.2)
+    status = replace(SAYS, **says)
+    for k in range(60):
+        if pilot_us:
+            board.says(PilotFrame(5_000_000, 0, 0, pilot_us))
+        step(board, port, replace(status, last_sequence=100 + k, accepted=40 + k))
+        port.send(sticks, engage=True)
+    assert port.mismatch() == reason
+    reasons = [e.details["reason"] for e in port.events if e.name == "not engaged"]
+    assert len(reasons) >= 2 and set(reasons) == {reason}
 
 
 def test_hand_back_is_at_once_and_stays(board, port):

@@ -47,6 +47,8 @@ MESSAGES = (
     dataclasses.replace(
         STATUS, state="FAULT", fault="stall", silent=False, channels_us=(1500,) * 8
     ),
+    dataclasses.replace(STATUS, fault="memory", engages_without_pilot=True),
+    dataclasses.replace(STATUS, silent=False, has_pilot=True, pilot_took_over=True),
     PilotFrame(123456, 0, 7, (1100, 1200, 1300, 1400, 1500)),
     SyncReply(1, 2, 3),
 )
@@ -134,13 +136,13 @@ def test_messages_go_over_the_wire_and_back(message):
 def test_sizes_are_those_of_the_specification():
     """Counted from its fields: payload + CRC 2 + COBS 1 + zero 1."""
     sizes = [len(encode(message)) for message in MESSAGES]
-    assert sizes == [12 + 4, 20 + 4, 5 + 4, 5 + 4, 36 + 4, 44 + 4, 19 + 4, 13 + 4]
+    assert sizes == [12 + 4, 20 + 4, 5 + 4, 5 + 4, 36 + 4, 44 + 4, 36 + 4, 36 + 4, 19 + 4, 13 + 4]
 
 
 def test_status_has_its_fields_where_the_specification_says():
     """The payload laid out by hand, field by field."""
     hexes = (
-        "11 01",
+        "11 02",
         "00286bee",
         "03 00 02 09",
         "0102",
@@ -153,6 +155,11 @@ def test_status_has_its_fields_where_the_specification_says():
     body = payload + struct.pack("<H", crc_bit_by_bit(payload))
     assert decode_status(cobs_encode(body)) == STATUS
     assert STATUS.reset_causes == ("power-on", "watchdog")
+    flags = {"silent": 1, "engages_without_pilot": 2, "has_pilot": 4, "pilot_took_over": 8}
+    for name, bit in flags.items():
+        only = dataclasses.replace(STATUS, **{other: other == name for other in flags})
+        assert cobs_decode(encode(only)[:-1])[26] == bit
+        assert decode_status(encode(only)) == only
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
@@ -185,10 +192,10 @@ def test_firmware_writes_what_we_read(library, rng):
                 values[1] &= 1
             if kind == 0x11:
                 values[0], values[2], values[3], values[12] = (
-                    1,
+                    2,
                     values[2] % 5,
                     values[3] % 4,
-                    values[12] % 2,
+                    values[12] % 16,
                 )
             values += [count] if kind in (0x11, 0x12) else []
             values += [int(us) for us in rng.integers(65536, size=count)]
@@ -285,7 +292,7 @@ def test_a_calibration_of_ones_own_is_used():
         (b"\x01" * 65, "expected at most 64 bytes"),
         (encode(STATUS)[:9] + b"\x55" + encode(STATUS)[10:], "expected checksum"),
         (encode(SyncReply(1, 2, 3)), "expected a status, got a SyncReply"),
-        (encode(dataclasses.replace(STATUS, version=2)), "expected version 1, got 2; flash"),
+        (encode(dataclasses.replace(STATUS, version=1)), "expected version 2, got 1; flash"),
         ("a text", "expected bytes"),
         (None, "expected bytes"),
     ],
@@ -345,7 +352,7 @@ def test_random_bytes_are_refused_or_read(rng):
             noise = framed(noise[:60])
         elif number % 3 == 2:
             noise = framed(
-                bytes([0x11, 1, *rng.bytes(4), number % 7, number % 5])
+                bytes([0x11, 2, *rng.bytes(4), number % 7, number % 5])
                 + rng.bytes(19)
                 + b"\4"
                 + noise[:8]

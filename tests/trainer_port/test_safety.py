@@ -5,6 +5,7 @@ traces.
 import dataclasses
 import re
 from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from tests.trainer_port.host_library import FIRMWARE, HostSafety, build
 
 MS, CLOCK = 1000, 2**32
 SAFE = (1000, 1500, 1500, 1500)
-FLY = (1200, 1600, 1400, 1500)
+FLY = (1020, 1600, 1400, 1500)  # as far from idle and neutral as a board without a pilot engages
 OUT = (1200, 1600, 1400, 2101)  # one slot a microsecond above what is valid
 
 
@@ -32,15 +33,21 @@ class Host:
         self.sequence = (self.sequence + 1) % 65536
         return self.safety.frame(self.now, self.sequence, engage, channels)
 
-    def tick(self, wait_ms=0.0):
+    def tick(self, wait_ms=0.0, pilot=None):
         self.now = (self.now + round(wait_ms * MS)) % CLOCK
-        return self.safety.tick(self.now)
+        return self.safety.tick(self.now, pilot)
+
+    def ask(self, channels=FLY, pilot=None):
+        """The shortest way from SAFE to ACTIVE, with the pilot measured all the time; the state."""
+        for flag in (False, True, True, True, True, True):
+            for _ in range(2 if pilot else 0):
+                self.tick(22.0, pilot)
+            self.send(flag, channels, wait_ms=50 - 44 * bool(pilot))
+        return self.safety.state
 
     def engage(self):
-        """From SAFE to ACTIVE in the shortest way."""
-        for flag in (False, True, True, True, True, True):
-            self.send(flag)
-        assert self.safety.state == "ACTIVE"
+        """From SAFE to ACTIVE."""
+        assert self.ask() == "ACTIVE"
         return self
 
 
@@ -68,9 +75,9 @@ def test_edge_and_five_frames_engage(host):
     """
     assert states_after(host, [0, 1, 1, 1, 1]) == ["SAFE"] * 5
     assert host.tick() == SAFE
-    host.send(True, (1100, 1700, 1400, 1500))
+    host.send(True, (1010, 1590, 1420, 1500))
     assert host.safety.state == "ACTIVE"
-    assert host.tick() == (1100, 1700, 1400, 1500)
+    assert host.tick() == (1010, 1590, 1420, 1500)
 
 
 def test_without_an_edge_nothing_engages(host):
@@ -240,6 +247,194 @@ def test_another_number_of_channels_is_no_command(host):
     assert host.safety.last_sequence is None
 
 
+# ---- the pilot ----
+
+PILOT = (1540, 1480, 1610, 1500)
+PROGRAMS = ["Python", "C++"]
+
+
+@pytest.fixture(params=PROGRAMS)
+def any_host(request, tmp_path_factory):
+    """A host of the model, and one of the firmware's own machine."""
+    if request.param == "Python":
+        return Host(Safety())
+    return Host(HostSafety(build(tmp_path_factory.getbasetemp() / "shipped")))
+
+
+@pytest.mark.parametrize(
+    ("channels", "state"),
+    [
+        ((1020, 1600, 1400, 1600), "ACTIVE"),
+        ((1021, 1500, 1500, 1500), "SAFE"),
+        ((1000, 1601, 1500, 1500), "SAFE"),
+        ((1000, 1500, 1399, 1500), "SAFE"),
+        ((2000, 1500, 1500, 1500), "SAFE"),
+    ],
+)
+def test_without_a_pilot_only_idle_and_neutral_engage(any_host, channels, state):
+    """The limits by the rule: throttle to 20 us above idle, the others to 100 us from neutral."""
+    any_host.tick()
+    assert any_host.ask(channels) == state
+    assert not any_host.safety.has_pilot
+
+
+@pytest.mark.parametrize("channel", range(4))
+@pytest.mark.parametrize(("away_us", "state"), [(100, "ACTIVE"), (101, "SAFE"), (-101, "SAFE")])
+def test_with_a_pilot_only_commands_near_the_sticks_engage(any_host, channel, away_us, state):
+    """100 us by the rule, on every channel; idle and neutral, 540 us from the throttle, do not."""
+    any_host.tick()
+    ours = list(PILOT)
+    ours[channel] += away_us
+    assert any_host.ask(tuple(ours), PILOT) == state
+    assert any_host.safety.has_pilot
+    assert any_host.ask(SAFE, PILOT) == "SAFE"
+
+
+def test_one_command_off_the_sticks_ends_the_count(any_host):
+    """0 1 1 x 1 1 1 1 1 with x far off: all later ones match, and there is no new edge."""
+    any_host.tick()
+    for engage, channels in ((0, FLY), (1, FLY), (1, FLY), (1, (1900, *FLY[1:])), *[(1, FLY)] * 9):
+        any_host.send(bool(engage), channels)
+    assert any_host.safety.state == "SAFE"
+    assert any_host.ask() == "ACTIVE"
+
+
+def test_the_switch_engages_at_any_command_without_a_pilot_only(tmp_path_factory):
+    """ENGAGE_WITHOUT_PILOT: cruise throttle engages where no pilot is measured, and where one is,
+    the sticks count as ever.
+    """
+    library = build(tmp_path_factory.mktemp("switch"), "-DENGAGE_WITHOUT_PILOT=1")
+    for safety in (Safety(SafetyConfig(engage_without_pilot=1)), HostSafety(library)):
+        host = Host(safety)
+        host.tick()
+        assert host.ask((1550, 1900, 1500, 1500)) == "ACTIVE"
+        host.send(False)
+        assert host.ask((1550, 1900, 1500, 1500), SAFE) == "SAFE"
+        assert host.ask(PILOT, PILOT) == "ACTIVE"
+
+
+@pytest.mark.parametrize("channel", range(4))
+@pytest.mark.parametrize(("moved_us", "state"), [(120, "ACTIVE"), (121, "SAFE"), (-121, "SAFE")])
+def test_a_moved_stick_is_safe_in_the_same_frame(any_host, channel, moved_us, state):
+    """12 % of 1000 us from where it was at the engagement, on every channel; no slew on the way
+    out, and a host that goes on asking gets nothing.
+    """
+    any_host.tick()
+    assert any_host.ask(PILOT, PILOT) == "ACTIVE"
+    assert any_host.tick(22.0, PILOT) != SAFE
+    stick = list(PILOT)
+    stick[channel] += moved_us
+    assert (any_host.tick(22.0, tuple(stick)) == SAFE) == (state == "SAFE")
+    assert any_host.safety.state == state
+    assert any_host.safety.pilot_took_over == (state == "SAFE")
+    for _ in range(20):
+        any_host.send(True, tuple(stick), wait_ms=28)
+        any_host.tick(22.0, tuple(stick))
+    assert any_host.safety.state == state
+
+
+def test_a_slow_stick_is_a_moved_stick(any_host):
+    """Ten microseconds a frame: judged by where it was at the engagement, not by the last frame."""
+    any_host.tick()
+    assert any_host.ask(PILOT, PILOT) == "ACTIVE"
+    states = []
+    for k in range(1, 15):
+        any_host.send(True, PILOT, wait_ms=10)
+        any_host.tick(12.0, (PILOT[0] - 10 * k, *PILOT[1:]))
+        states.append(any_host.safety.state)
+    assert states == ["ACTIVE"] * 12 + ["SAFE"] * 2
+
+
+def test_after_a_take_over_the_host_asks_anew_near_the_new_sticks(any_host):
+    """Edge, five commands and the place where the sticks are now."""
+    any_host.tick()
+    assert any_host.ask(PILOT, PILOT) == "ACTIVE"
+    moved = (PILOT[0] - 300, *PILOT[1:])
+    any_host.tick(22.0, moved)
+    any_host.send(True, PILOT)
+    assert any_host.safety.pilot_took_over
+    assert any_host.ask(PILOT, moved) == "SAFE"
+    assert not any_host.safety.pilot_took_over
+    assert any_host.ask(moved, moved) == "ACTIVE"
+
+
+def test_a_signal_that_stops_is_no_movement_and_no_pilot(any_host):
+    """It leaves ACTIVE as it is and is not fresh 100 ms later; when it returns, its sticks are
+    compared with those of the engagement.
+    """
+    any_host.tick()
+    assert any_host.ask(PILOT, PILOT) == "ACTIVE"
+    for _ in range(5):
+        any_host.send(True, PILOT, wait_ms=10)
+        any_host.tick(12.0)
+    assert any_host.safety.state == "ACTIVE"
+    any_host.send(True, PILOT, wait_ms=50)
+    any_host.tick(0.0)
+    assert not any_host.safety.has_pilot
+    any_host.tick(1.0, (PILOT[0], PILOT[1] + 130, *PILOT[2:]))
+    assert any_host.safety.state == "SAFE"
+
+
+@pytest.mark.parametrize(("age_ms", "state"), [(99.999, "SAFE"), (100.0, "ACTIVE")])
+def test_a_signal_is_fresh_for_100_ms(any_host, age_ms, state):
+    """While it is fresh idle does not engage against sticks in flight; then it does."""
+    any_host.tick(0.0, PILOT)
+    any_host.tick(age_ms)
+    assert any_host.safety.has_pilot == (state == "SAFE")
+    assert any_host.ask() == state
+
+
+def test_a_signal_that_begins_in_flight_defines_where_the_sticks_are(any_host):
+    """Engaged without one, at idle: the first frame is the reference, wherever it is."""
+    any_host.tick()
+    assert any_host.ask() == "ACTIVE"
+    any_host.tick(1.0, PILOT)
+    any_host.tick(1.0, (PILOT[0] + 120, *PILOT[1:]))
+    assert any_host.safety.state == "ACTIVE"
+    any_host.tick(1.0, (PILOT[0] + 121, *PILOT[1:]))
+    assert any_host.safety.state == "SAFE"
+
+
+def test_a_pilot_with_fewer_channels_is_no_pilot(tmp_path_factory):
+    """Eight slots go out; the radio's six cannot be compared with them."""
+    library = build(tmp_path_factory.mktemp("eight"), "-DCHANNELS=8")
+    for safety in (Safety(SafetyConfig(channels=8)), HostSafety(library)):
+        safety.tick(0, (1500,) * 6)
+        assert not safety.has_pilot
+        safety.tick(1, (1500,) * 8)
+        assert safety.has_pilot
+
+
+# ---- disturbed memory of the firmware's machine ----
+
+
+@pytest.mark.parametrize("state", ["SAFE", "ACTIVE", "LOST"])
+def test_any_flipped_bit_of_the_machine_is_a_fault_with_safe_slots(tmp_path_factory, state):
+    """Every bit of the object, one at a time: the seal finds it before the next frame or tick does
+    anything, and the host's commands, which go on, do not engage.
+    """
+    library = build(tmp_path_factory.getbasetemp() / "shipped")
+    size = HostSafety(library).size
+    assert 60 < size < 256
+    for byte in range(size):
+        for bit in range(8):
+            host = Host(HostSafety(library))
+            host.tick(0.0, PILOT)
+            if state != "SAFE":
+                assert host.ask(PILOT, PILOT) == "ACTIVE"
+            if state == "LOST":
+                host.tick(201.0, PILOT)
+            assert host.safety.state == state
+            host.safety.flip(byte, bit)
+            if bit % 2:
+                host.send(True, PILOT, wait_ms=1)
+            assert host.tick(1.0, PILOT) == SAFE, (byte, bit)
+            assert (host.safety.state, host.safety.fault) == ("FAULT", "memory")
+            host.send(True, PILOT, wait_ms=1)
+            assert host.tick(1.0, PILOT) == SAFE
+            host.safety.close()
+
+
 def test_slots_move_at_most_a_slew_per_frame():
     """By hand: 1000 -> 1900 with 250 a frame is 1250 1500 1750 1900; the ceiling cuts throttle at
     1600.
@@ -388,9 +583,17 @@ GAPS_MS = (
 STEPS = (0, -1, 2, 32767, 32768, -32767, 1000)
 
 
+class Sent(NamedTuple):
+    """A command in a trace; a tick has the pilot's sticks or None in its place."""
+
+    sequence: int
+    engage: bool
+    channels_us: tuple[int, ...]
+
+
 def random_trace(rng, config, frames=120):
-    """A hostile host: (time, sequence, engage, channels) in random moods, and None for the ticks in
-    between.
+    """A hostile host: (time, sequence, engage, channels) in random moods; the pilot's sticks or
+    None for the ticks in between.
     """
     now = int(rng.integers(CLOCK)) if rng.random() < 0.5 else CLOCK - int(rng.integers(20_000_000))
     start, next_tick, sequence, engage = (
@@ -400,6 +603,9 @@ def random_trace(rng, config, frames=120):
         False,
     )
     events, mood = [], "calm"
+    # Half of the traces have a pilot, and most hosts ask near the sticks, or near idle.
+    safe = config.safe_us[: config.channels]
+    sticks = tuple(int(us) for us in rng.integers(1000, 2001, 8)) if rng.random() < 0.5 else None
     for _ in range(frames):
         if rng.random() < 0.15:
             mood = str(
@@ -421,7 +627,10 @@ def random_trace(rng, config, frames=120):
             # A frame and a tick may fall on one microsecond, in either order.
             if next_tick == now and rng.random() < 0.5:
                 break
-            events.append((next_tick % CLOCK, None))
+            if sticks and rng.random() < 0.02:
+                sticks = tuple(int(us + rng.integers(-130, 131)) for us in sticks)
+            is_measured = sticks is not None and (mood != "gaps" or rng.random() < 0.2)
+            events.append((next_tick % CLOCK, sticks if is_measured else None))
             next_tick += 22_000 if rng.random() < 0.9 else max(1, now - next_tick)
         sequence = (
             sequence + (int(rng.choice(STEPS)) if wild["jumps"] and rng.random() < 0.5 else 1)
@@ -430,9 +639,14 @@ def random_trace(rng, config, frames=120):
         channels = [
             int(us) for us in rng.choice([900, 1000, 1100, 1500, 1700, 2000, 2100, 1234], count)
         ]
+        if rng.random() < 0.97:
+            near = np.array((sticks or safe)[: config.channels])
+            spread = 20 if sticks is None else 60
+            channels = (near + rng.integers(-spread, spread + 1, len(near))).tolist()
+            count = len(channels)
         if wild["outside"] and rng.random() < 0.6:
             channels[int(rng.integers(count))] = int(rng.choice([899, 2101, 0, 65535]))
-        events.append((now % CLOCK, (sequence, bool(engage), tuple(channels))))
+        events.append((now % CLOCK, Sent(sequence, bool(engage), tuple(channels))))
     return start % CLOCK, events
 
 
@@ -458,12 +672,16 @@ def test_the_firmware_gives_the_same_answers(tmp_path_factory, variant):
         for step, (now, command) in enumerate(events):
             before = ours.state
             answers = [
-                each.tick(now) if command is None else each.frame(now, *command)
+                each.frame(now, *command) if isinstance(command, Sent) else each.tick(now, command)
                 for each in (ours, theirs)
             ]
             where = (variant, number, step, now, command, before)
             assert answers[0] == answers[1], where
             assert (ours.state, ours.fault) == (theirs.state, theirs.fault), where
+            assert ours.has_pilot == theirs.has_pilot, where
+            assert ours.pilot_took_over == theirs.pilot_took_over, where
+            took_over = not isinstance(command, Sent) and (before, ours.state) == ("ACTIVE", "SAFE")
+            seen["took over"] += took_over
             seen[before, ours.state] += before != ours.state
             seen["silent"] += answers[0] is None
         theirs.close()
@@ -477,4 +695,5 @@ def test_the_firmware_gives_the_same_answers(tmp_path_factory, variant):
     expected |= {("FAULT", "SAFE")} | {(state, "FAULT") for state in ("SAFE", "ACTIVE", "LOST")}
     assert all(seen[each] >= traces // 50 for each in expected), seen
     assert not any(seen[before, "ACTIVE"] for before in ("BOOT", "LOST", "FAULT")), seen
+    assert seen["took over"] >= traces // 50, seen
     assert (seen["silent"] > 100) == (config.silent_after_ms > 0)

@@ -1,4 +1,4 @@
-"""Dead band: small commands no longer reach the control surfaces."""
+"""Dead band: small commands no longer reach the control surfaces; one effect in two forms."""
 
 from typing import Any
 
@@ -22,6 +22,23 @@ def deadband(t: Array, commands: Array, K: Any) -> Array:
     return np.concatenate([commands[:, :1], commands[:, 1:] * passed], axis=1)
 
 
+def dead_zone(t: Array, commands: Array, K: Any) -> Array:
+    """sign(u) max(|u| - dead_zone, 0): the rest is shifted too; throttle as it is.
+
+    The textbook's dead zone [Slotine & Li, Applied Nonlinear Control, ch. 5.2].
+    """
+    surfaces = commands[:, 1:]
+    passed = np.sign(surfaces) * np.maximum(np.abs(surfaces) - K.dead_zone, 0.0)
+    return np.concatenate([commands[:, :1], passed], axis=1)
+
+
+ACTS_ON = ("sticks", "roll", "pitch", "yaw")
+SAME_FORM = (
+    "dead band of the aileron",
+    "dead band of the elevator",
+    "dead band of the rudder",
+)
+
 EFFECTS = (
     Effect(
         name="deadband",
@@ -32,15 +49,25 @@ EFFECTS = (
         equation="u -> u where |u| > {deadband}, else 0; u: aileron, elevator, rudder",
         command_map=deadband,
         starts=({"deadband": 0.08}, {"deadband": 0.15}),
-        acts_on=("sticks", "roll", "pitch", "yaw"),
-        same_form=(
-            "dead band of the aileron",
-            "dead band of the elevator",
-            "dead band of the rudder",
-        ),
+        acts_on=ACTS_ON,
+        same_form=SAME_FORM,
         separated_by={"small movements": "a dead band removes the small ones only"},
         sizes=(0.02, 0.04, 0.15),
         draw=draw_size("deadband"),
+        frozen_number=12,
+    ),
+    Effect(
+        name="deadband",
+        physics="The surfaces stop short by a constant: play in the linkage.",
+        parameters=(
+            Parameter("dead_zone", 0.03, 0.0, 0.4, "-", "share of full deflection that is lost"),
+        ),
+        equation="u -> sign(u) max(|u| - {dead_zone}, 0); u: aileron, elevator, rudder",
+        command_map=dead_zone,
+        starts=({"dead_zone": 0.08},),
+        acts_on=ACTS_ON,
+        same_form=SAME_FORM,
+        separated_by={"small movements": "it takes as much from small ones as from large ones"},
         frozen_number=12,
     ),
 )

@@ -7,6 +7,7 @@ from typing import Protocol
 from warnings import warn
 
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.flight.loop import Clock
 from falconwing_kit.tools.bridge.python_board import Board, PythonBoard
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.ppm import Calibration
@@ -60,6 +61,31 @@ def open_port(name: str, calibration: Calibration | None = None) -> TrainerPort:
         SerialLink(line.path), calibration, reopen=lambda: SerialLink(line.path), what=what
     )
     port.simulation = line
+    return port
+
+
+def open_paced_port(name: str, clock: Clock, calibration: Calibration | None = None) -> TrainerPort:
+    """The port of a simulated board in a simulated flight's time, ready.
+
+    Nothing is late in it on a busy machine: a slow computer slows the flight down.
+
+    Args:
+        name: one of PORTS.
+        clock: of the flight, started.
+        calibration: control inputs to microseconds; None for the shipped one.
+
+    Raises:
+        InputError: there is no simulated board of this name, or calibration and board do not fit.
+    """
+    link = SteppedBoard(simulated_board(name), clock.now)
+    what = f"SIMULATED board, {link.board.kind}"
+    port = TrainerPort(link, calibration, now=clock.now, what=what)
+    port.simulation = link
+    try:
+        port.wait_ready(sleep=lambda seconds: clock.wait_until(clock.now() + seconds))
+    except InputError:
+        port.close()
+        raise
     return port
 
 

@@ -54,6 +54,10 @@ class Board(Protocol):
     kind: str  # description for the user
     t: float  # [s] since it was created; continues over resets and power cycles
 
+    @property
+    def led(self) -> bool:
+        """Whether the LED is on: while ACTIVE."""
+
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *error: object) -> None: ...
@@ -176,6 +180,11 @@ class PythonBoard:
         if slots and self._due["pilot"] == math.inf:
             self._due["pilot"] = self.t
 
+    @property
+    def led(self) -> bool:
+        """Whether the LED is on: while ACTIVE."""
+        return self._safety.state == "ACTIVE"
+
     def hang(self) -> None:
         """Stop the main program: nothing is read or sent until the watchdog resets the board."""
         self._due["watchdog"] = min(self._due["watchdog"], self.t + WATCHDOG_S)
@@ -205,6 +214,7 @@ class PythonBoard:
         self._deframer, self._verdicts = Deframer(), dict.fromkeys(SafetyDecision, 0)
         self._sent_frames, self._pilot_rejected = 0, 0
         self._pilot_slots = 0  # number of channels of the pilot's radio; 0 while unknown
+        self._pilot_new: tuple[int, ...] | None = None  # its frame since the last tick
         self._pilot_like = (0, 0)  # channels of the last frame, and equal frames in a row
         self._leaving = deque((t, byte) for t, byte in self._leaving if t <= self.t)
         self._end_frame(math.nan)
@@ -231,7 +241,8 @@ class PythonBoard:
     def _begin_frame(self) -> None:
         """Start a PPM frame with the channels from the safety rules."""
         self._due["tick"] = self.t + self._frame_s
-        slots = self._safety.tick(self._clock_us)
+        slots = self._safety.tick(self._clock_us, self._pilot_new)
+        self._pilot_new = None
         self._end_frame(math.nan if slots is None else self.t)
         if slots is not None:
             self._frame = (self.t, slots)
@@ -272,7 +283,7 @@ class PythonBoard:
             self._pilot_slots = len(slots)
         if self._pilot_slots == len(slots):
             last_edge_us = round((start - self._booted) * 1e6 + sum(slots)) % CLOCK
-            channels_us = tuple(round(us) for us in slots)
+            channels_us = self._pilot_new = tuple(round(us) for us in slots)
             self._send(PilotFrame(last_edge_us, 0, self._pilot_rejected % 65536, channels_us))
         elif self._pilot_slots:
             self._pilot_rejected += 1
@@ -296,6 +307,9 @@ class PythonBoard:
                 silent=safety.silent,
                 channels_us=safety.slots_us,
                 device_time_us=self._clock_us,
+                engages_without_pilot=bool(self._config.engage_without_pilot),
+                has_pilot=safety.has_pilot,
+                pilot_took_over=safety.pilot_took_over,
             )
         )
 

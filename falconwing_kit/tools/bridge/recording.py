@@ -4,12 +4,13 @@ The pilot flies by the radio; nothing here sends a command. Control inputs are l
 board's time, converted to the host's clock, and with the newest image taken before them.
 """
 
+import json
 import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import falconwing_kit
@@ -17,6 +18,7 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, Image
 from falconwing_kit.flight.loop import ImageSource
+from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.trainer_port.port import TrainerPort
 from falconwing_kit.trainer_port.protocol import PilotFrame
 from falconwing_kit.vision.monitor import FrameMonitor
@@ -48,6 +50,7 @@ class Recording:
         images: the camera, with times of the log; None records control inputs alone.
         alert: called with one sentence when recording stops and when the monitor raises an alarm.
         monitor: checks every image; beginnings and ends of its alarms are events of the log.
+        lens: of images that were undistorted; None as the camera gives them.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class Recording:
         images: ImageSource | None = None,
         alert: Callable[[str], Any] = lambda sentence: None,
         monitor: FrameMonitor | None = None,
+        lens: PinholeCamera | None = None,
     ) -> None:
         self.port, self.log, self.images = port, log, images
         self._alert, self.monitor = alert, monitor
@@ -69,7 +73,11 @@ class Recording:
         self._pilot_at, self._silent, self._alarm = 0.0, False, False
         port.pilots.clear()
         flown = getattr(images, "metadata", {})  # of a simulated flight
-        self._write(lambda log: log.metadata({**flown, **_recording_metadata(port)}))
+        self._write(
+            lambda log: log.metadata(
+                {**flown, **recording_metadata(port, lens, undistorted=lens is not None)}
+            )
+        )
 
     @property
     def t(self) -> float:
@@ -107,6 +115,7 @@ class Recording:
         except Exception as error:
             self.images = None
             self._event(self.t, "images lost", {"error": f"{type(error).__name__}: {error}"})
+            self._alert(f"no more images: {error}")
             return None
         if image is None or (self.image is not None and image.sequence == self.image.sequence):
             return None
@@ -158,6 +167,7 @@ class Recording:
             self._write_image(self._unwritten.popleft())
 
     def _write_image(self, image: Image) -> None:
+        image = replace(image, t=max(image.t, 0.0))  # a camera runs before the recording does
         if self._write(lambda log: log.image(image)):
             self.counts.images += 1
 
@@ -202,10 +212,21 @@ def record(
     return recording.counts
 
 
-def _recording_metadata(port: TrainerPort) -> dict[str, str]:
-    """Metadata of the log."""
+def recording_metadata(
+    port: TrainerPort, lens: PinholeCamera | None = None, undistorted: bool = False
+) -> dict[str, str]:
+    """Metadata of the log of a board and a camera.
+
+    Args:
+        port: ready.
+        lens: of the logged images; None where it is not known.
+        undistorted: whether the lens's distortion was removed from them.
+    """
     calibration = port.calibration
+    optics = {} if lens is None else {"camera": json.dumps(asdict(lens))}
     return {
+        **optics,
+        "undistorted": "yes" if undistorted else "no",
         "simulated": "yes" if port.simulation is not None else "no",
         "kit_version": falconwing_kit.__version__,
         "port": port.what,

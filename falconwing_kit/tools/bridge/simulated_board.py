@@ -115,6 +115,11 @@ class SimulatedBoard:
                 self._edges = []
         return [frame for frame in frames if frame is not None]
 
+    @property
+    def led(self) -> bool:
+        """Whether the LED on pin 13 is on."""
+        return bool(self._sim.sim_led(self._handle))
+
     def set_pilot(self, channels_us: Sequence[float] | None) -> None:
         """PPM on the pilot's pin after the current frame: (n,) [us], or None for silence.
 
@@ -139,7 +144,7 @@ class SimulatedBoard:
         Raises:
             InputError: the program's symbol table has no loop().
         """
-        if self._sim.sim_hang(self._handle):
+        if self._sim.sim_stop(self._handle, 0):
             raise InputError(
                 f"{self._elf.name}: expected a program with a function loop(), "
                 "its symbol table has none"
@@ -304,12 +309,15 @@ def _library() -> ctypes.CDLL:
         "sim_error": (ctypes.c_char_p, []),
         "sim_cycle": (cycles, [board]),
         "sim_pin": (ctypes.c_int, [board]),
+        "sim_led": (ctypes.c_int, [board]),
         "sim_counter": (ctypes.c_uint32, [board, ctypes.c_int]),
         "sim_send": (None, [board, ctypes.c_int, ctypes.c_char_p, size]),
         "sim_receive": (size, [board, ctypes.c_char_p, size]),
         "sim_drive_pilot": (None, [board, at, levels, size]),
         "sim_take_edges": (size, [board, at, levels, size]),
-        "sim_hang": (ctypes.c_int, [board]),
+        "sim_stop": (ctypes.c_int, [board, ctypes.c_int]),
+        "sim_peek": (ctypes.c_int, [board, ctypes.c_uint16]),
+        "sim_flip": (None, [board, ctypes.c_uint16, ctypes.c_uint8]),
         "sim_reset": (None, [board]),
     }
     for name, (result, arguments) in functions.items():

@@ -24,9 +24,11 @@ class PortWorld:
     """A simulated world behind the trainer port: the world for sources, the sink for the loop.
 
     The board is engaged before the flight: it follows the first command when the flight's time
-    begins. The radio acts on a frame when its last channel is complete, and holds the last frame if
-    the pulses stop. The port's mean delay of 19 ms (16 bytes 1.4, half a frame 11, four channels 6)
-    is added to the world's own.
+    begins. A board engages only near the pilot's sticks, so a SIMULATED pilot at the radio holds
+    them where the first command is, and the board measures them; they stay there during the flight,
+    for a stick that moves takes the aircraft from the computer. The radio acts on a frame when its
+    last channel is complete, and holds the last frame if the pulses stop. The port's mean delay of
+    19 ms (16 bytes 1.4, half a frame 11, four channels 6) is added to the world's own.
     """
 
     def __init__(
@@ -130,12 +132,14 @@ class PortWorld:
 
     def _engage_board(self, command: Command) -> None:
         """Engage the board and let its output settle at the command; discard the frames so far."""
+        self.board.set_pilot(self.calibration.channels_us(command))
         end = self.board.t + GROUND_S
         while self.port.engagement != "engaged" or self.board.t < end - GROUND_S + SETTLE_S:
             if self.board.t > end:
                 state = self.port.status.state if self.port.status else "nothing"
                 raise InputError(
-                    f"{self.port.what}: expected it ACTIVE, got {state}; "
+                    f"{self.port.what}: expected it ACTIVE, got {state}"
+                    f" ({self.port.mismatch() or 'the command matches'}); "
                     "see `falconwing firmware test`"
                 )
             self.port.send(command, engage=True)

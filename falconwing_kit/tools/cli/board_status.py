@@ -3,10 +3,9 @@
 import math
 import shutil
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,12 +31,14 @@ class StatusLine:
     port: TrainerPort
     seconds: float  # duration; 0 is unlimited
     moves: bool = True  # move the sticks of a simulated board's pilot, to have something to show
-    _start: float = field(default_factory=time.perf_counter)
+    _start: float = math.nan  # on the port's clock: virtual time for a simulated flight
     _shown: float = -math.inf
 
     def is_over(self, recording: "Recording | None" = None) -> bool:
         """Update the line if it is due; True when the time is up."""
-        t = time.perf_counter() - self._start
+        now = self.port.now()
+        self._start = now if math.isnan(self._start) else self._start
+        t = now - self._start
         if t - self._shown >= SHOW_S:
             self._shown = t
             if self.moves:
@@ -55,12 +56,17 @@ class StatusLine:
 
     def alert(self, sentence: str) -> None:
         """Print an alert on a line of its own, with the terminal's bell."""
-        print(f"\n\aALERT: {sentence}", file=sys.stderr, flush=True)
+        alert(sentence)
 
     def end(self) -> None:
         """Leave the line."""
         if sys.stderr.isatty():
             print(file=sys.stderr)
+
+
+def alert(sentence: str) -> None:
+    """Print an alert on a line of its own, with the terminal's bell."""
+    print(f"\n\aALERT: {sentence}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -91,8 +97,12 @@ def status_text(port: TrainerPort) -> str:
     fault = "" if status.fault == "none" else f" {status.fault}"
     channels = " ".join(map(str, status.channels_us))
     sticks = " ".join(f"{position:+.2f}" for position in pilot_sticks(port)) or "none"
+    taken = " TAKEN by the pilot" if status.pilot_took_over else ""
+    blind = " ENGAGES WITHOUT PILOT" if status.engages_without_pilot else ""
+    waits = port.mismatch() if port.engagement in ("asking", "engaging") else ""
+    waits = f"  not engaged: {waits}" if waits else ""
     return (
-        f"{status.state}{fault}  {channels} us  pilot {sticks}  "
+        f"{status.state}{fault}{taken}{blind}  {channels} us{waits}  pilot {sticks}  "
         f"boots {status.boot_count}  frames {status.ppm_frames}  "
         f"round trip {1e3 * port.clock.round_trip:.1f} ms  "
         f"sent {counters.sent} dropped {counters.dropped} bad {counters.bad + status.bad_frames}"
@@ -122,6 +132,8 @@ def port_record(port: TrainerPort) -> dict[str, Any]:
     record |= {"reset_causes": list(status.reset_causes), "channels_us": list(status.channels_us)}
     for name in ("bad_frames", "bad_sequence", "out_of_range", "ppm_frames"):
         record[f"board_{name}"] = getattr(status, name)
+    for name in ("engages_without_pilot", "has_pilot", "pilot_took_over"):
+        record[name] = getattr(status, name)
     record["status_age_ms"] = 1e3 * port.status_age
     record["round_trip_ms"] = 1e3 * port.clock.round_trip
     record["clock_error_ms"] = 1e3 * port.clock.error_bound(status.device_time_us)

@@ -73,7 +73,8 @@ class Bridge:
                 "--move-sticks: expected one source of commands, got --ros too; leave one out"
             )
         with open_ready_port(self.port, self.calibration, self.radio) as port:
-            line = StatusLine(port, self.seconds)
+            # A moving stick of the pilot takes over, a SIMULATED pilot's too.
+            line = StatusLine(port, self.seconds, moves=not (self.ros or self.move_sticks))
             with suppress(KeyboardInterrupt):
                 if self.ros:
                     self._relay(port, line)
@@ -93,13 +94,17 @@ class Bridge:
         return 0 if answered else 1
 
     def _monitor(self, port: TrainerPort, line: StatusLine) -> None:
-        """Poll the board and, with --move-sticks, send commands at 20 Hz."""
-        start, sent = time.perf_counter(), 0
+        """Poll the board and, with --move-sticks, send commands at 20 Hz.
+
+        The board engages near the pilot's sticks, or with ours in the middle: they move from then.
+        """
+        start, sent, still = time.perf_counter(), 0, 0.0
         while not line.is_over():
             t = time.perf_counter() - start
             if self.move_sticks and t >= PERIOD_S * sent:
+                still = still if port.engagement == "engaged" else t
                 aileron, elevator, rudder = (
-                    0.3 * math.sin(2.0 * math.pi * f * t) for f in (0.2, 0.3, 0.5)
+                    0.3 * math.sin(2.0 * math.pi * f * (t - still)) for f in (0.2, 0.3, 0.5)
                 )
                 port.send(Command(0.0, aileron, elevator, rudder), engage=True)
                 sent = int(t / PERIOD_S) + 1

@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from datetime import datetime
@@ -96,6 +97,7 @@ def walk(
         "date": start.isoformat(timespec="seconds"),
         **asdict(devices),
     }
+    record |= _radio(devices.port)
     record |= {"complete": all(o.result == "yes" for o in outcomes), "failed": failed}
     record |= {"steps": [asdict(outcome) for outcome in outcomes]}
     if out is not None:
@@ -107,6 +109,20 @@ def walk(
     else:
         _show(checklist, outcomes, asked, failed)
     return int(failed)
+
+
+def _radio(port: str) -> dict[str, str]:
+    """The radio that the list was worked through with, and a digest of its calibration."""
+    from falconwing_kit.tools.cli.calibrate import choose_calibration
+    from falconwing_kit.tools.hardware.bench_record import calibration_digest
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the automatic steps have said it
+            calibration = choose_calibration(port)
+    except (InputError, FileNotFoundError):  # a stale one: the automatic steps have failed by it
+        return {"radio": "", "calibration": ""}
+    return {"radio": calibration.radio, "calibration": calibration_digest(calibration)}
 
 
 def _show(checklist: Checklist, outcomes: list[StepOutcome], asked: bool, failed: bool) -> None:

@@ -42,7 +42,7 @@ class Demo:
 
     out: Path = Path("falconwing_demo")
     """folder for page, figures and models"""
-    scene: str = "arena"
+    scene: str = "hall"
     """the hall of the approach: arena, hall, hall_analog, or a scene file in the kit's world"""
     headless: bool = False
     """fly as fast as possible, without the browser"""

@@ -34,6 +34,9 @@ FLASH_BUDGET, RAM_BUDGET = 16 * 1024, 2 * 1024
 SAFE_US, FLOWN_US = (1000, 1500, 1500, 1500), (1300, 1600, 1450, 1700)
 PERIOD = 0.05  # s between commands
 COMMAND_MS, LOSS_MS = 30, 225  # maximum delay command -> pin, last command -> safe pin
+# Maximum delay from a stick of the pilot to the safe pin: the radio's frame that is on the wire,
+# the one that carries the stick, and a frame of the board.
+TAKE_OVER_MS = 66
 
 
 @dataclass(frozen=True)
@@ -173,11 +176,17 @@ class BoardTestBench:
         self.run(seconds)
 
     def fly(self) -> None:
-        """Engage: send commands until the board follows."""
-        self.send(False)
-        for _ in range(12):
+        """Engage at idle and neutral, then fly until the board follows."""
+        self.ask(SAFE_US)
+        for _ in range(7):
             self.send(True)
         self.expect("ACTIVE")
+
+    def ask(self, channels_us: Sequence[int]) -> None:
+        """The rising edge of `engage` and five commands."""
+        self.send(False, channels_us)
+        for _ in range(5):
+            self.send(True, channels_us)
 
     def expect(self, state: str, fault: str = "none") -> Status:
         """The next STATUS; RequirementError unless it has this state and fault."""
@@ -224,16 +233,67 @@ def pulses_are_exact(bench: BoardTestBench) -> str:
 def engages_after_edge_and_five_frames(bench: BoardTestBench) -> str:
     """The board engages only after the rising edge of `engage` plus five valid frames."""
     for _ in range(20):
-        bench.send(True)
+        bench.send(True, SAFE_US)
     bench.expect("SAFE")
-    bench.send(False)
+    bench.send(False, SAFE_US)
     for _ in range(4):
-        bench.send(True)
+        bench.send(True, SAFE_US)
     bench.expect("SAFE")
     for _ in range(3):
-        bench.send(True)
+        bench.send(True, SAFE_US)
     bench.expect("ACTIVE")
     return "ACTIVE after the rising edge and five frames, not before"
+
+
+def without_a_pilot_only_idle_engages(bench: BoardTestBench) -> str:
+    """No signal on the pilot pin: throttle or a deflected stick does not engage."""
+    if bench.expect("SAFE").engages_without_pilot:
+        raise RequirementError("compiled with ENGAGE_WITHOUT_PILOT")
+    for channels_us in (FLOWN_US, (1050, 1500, 1500, 1500), (1000, 1500, 1650, 1500)):
+        bench.ask(channels_us)
+        bench.expect("SAFE")
+    bench.ask(SAFE_US)
+    bench.expect("ACTIVE")
+    return "SAFE at throttle 1050 us and more, ACTIVE at idle and neutral"
+
+
+def engages_near_the_pilots_sticks(bench: BoardTestBench) -> str:
+    """With a signal on the pilot pin only commands within 100 us of the sticks engage."""
+    bench.board.set_pilot(FLOWN_US)
+    bench.run(0.3)
+    for channel in range(len(FLOWN_US)):
+        ours = list(FLOWN_US)
+        ours[channel] -= 110
+        bench.ask(ours)
+        bench.expect("SAFE")
+    bench.ask(SAFE_US)
+    bench.expect("SAFE")
+    bench.ask([us + 90 for us in FLOWN_US])
+    if not bench.expect("ACTIVE").has_pilot:
+        raise RequirementError("STATUS does not show the pilot's signal")
+    return "SAFE 110 us away, ACTIVE 90 us away"
+
+
+def pilots_stick_takes_over(bench: BoardTestBench) -> str:
+    """A stick of the pilot moved by more than 12 % is SAFE, however the host insists."""
+    delays = []
+    for channel in range(len(FLOWN_US)):
+        bench.board.set_pilot(FLOWN_US)
+        bench.run(0.3)
+        bench.ask(FLOWN_US)
+        bench.expect("ACTIVE")
+        moved, start = list(FLOWN_US), bench.board.t
+        moved[channel] += 125
+        bench.board.set_pilot(moved)
+        bench.run(0.004 * channel)
+        for _ in range(4):
+            bench.send(True)
+        if not bench.expect("SAFE").pilot_took_over:
+            raise RequirementError("STATUS does not name the pilot")
+        delays.append(bench.first_frame(start, SAFE_US))
+    return require_within(
+        f"safe channels within {max(delays):.0f} ms of the stick", max(delays) <= TAKE_OVER_MS
+    )
 
 
 def commands_reach_the_pin(bench: BoardTestBench) -> str:
@@ -413,6 +473,9 @@ CHECKS: tuple[tuple[str, Callable[[BoardTestBench], str]], ...] = (
         "engages only after the rising edge plus five valid frames",
         engages_after_edge_and_five_frames,
     ),
+    ("no pilot measured: engages at idle and neutral only", without_a_pilot_only_idle_engages),
+    ("engages near the measured sticks only", engages_near_the_pilots_sticks),
+    (f"a stick moved by 12 %: safe within {TAKE_OVER_MS} ms", pilots_stick_takes_over),
     (f"a command is on the pin within {COMMAND_MS} ms", commands_reach_the_pin),
     (f"no commands: safe within {LOSS_MS} ms", host_loss_is_safe),
     (f"program hangs: safe within {LOSS_MS} ms", hung_program_is_safe),

@@ -1,6 +1,7 @@
-"""falconwing fly: fly a task in simulation, once on a live page or as many trials."""
+"""falconwing fly: fly a task in simulation, live or as trials, or a real aircraft."""
 
 import hashlib
+import math
 import re
 import sys
 import time
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from falconwing_kit.flight.tasks import FlightTask
     from falconwing_kit.flight.trial import TrialSetup
     from falconwing_kit.scene.gaussians import GaussianScene
+    from falconwing_kit.tools.devices.calibration import BenchCalibration
     from falconwing_kit.tools.trials.trials import TrialSettings
 
     TaskName = str
@@ -66,6 +68,9 @@ class Fly:
 
     Without --headless a page in the browser shows the flight in real time; with it the flights run
     as fast as possible. Exit code 0 if every trial succeeded, 1 if one failed.
+
+    --source camera and the --port of a trainer bridge fly a real aircraft by images, under the
+    supervisor, after falconwing doctor --bench was passed with that radio.
     """
 
     task: Annotated[TaskName, tyro.conf.arg(help=TASK_HELP)] = "landing"
@@ -79,6 +84,8 @@ class Fly:
     designed, with its effects: wind, delay, trim bias, camera tilt and so on; the simulated
     aircraft stays the kit's own
     """
+    weights: Path | None = None
+    """weights of train that the pilot student flies by, in place of those that ship"""
     trials: int = 1
     """number of flights, each from its own initial state of the fixed list"""
     manoeuvre: Annotated[str, tyro.conf.arg(help=MANOEUVRE_HELP)] = ""
@@ -107,11 +114,29 @@ class Fly:
     size: str = "320x240"
     """of the camera's image [px]"""
     source: Literal["sim", "camera"] = "sim"
-    """source of images"""
+    """source of images; camera with the --port of a real aircraft"""
     port: str = ""
     """the trainer port that commands go through: sim (the firmware in a simulated chip) or
-    sim-python (plain Python); none if not given
+    sim-python (plain Python), none if not given; with --source camera a serial port
     """
+    bench: Path | None = None
+    """file of falconwing bench: the simulator takes its lens and delays; a real camera's images are
+    undistorted by it
+    """
+    camera: str = "0"
+    """with --source camera: number or path of the camera, or a video file"""
+    calibration: Path | None = None
+    """with --source camera: file of falconwing calibrate; without it ./trainer_port.toml"""
+    radio: str = ""
+    """with --source camera: refuse a calibration of another radio"""
+    checklists: Path = Path("records")
+    """with --source camera: folder of the records of falconwing doctor --bench --out"""
+    seconds: float = 60.0
+    """with --source camera: the flight ends after so long"""
+    max_image_age: float = 0.4
+    """with --source camera: maximum age of the image behind a command [s]"""
+    battery_s: float = math.inf
+    """with --source camera: hand back so long after the first command [s]"""
     out: Path | None = None
     """folder for log, table and figures; the same folder continues an interrupted study"""
     logs: bool = False
@@ -131,6 +156,10 @@ class Fly:
             InputError: an option is wrong or needs a part that this version does not have.
         """
         self._refuse_unavailable()
+        if self._is_hardware:
+            from falconwing_kit.tools.cli.fly_aircraft import fly_aircraft
+
+            return fly_aircraft(self)
         hall = hall_loader(self._scene)
         task, setting = self._task(), self._setting()
         from falconwing_kit.tools.trials.trials import (
@@ -168,20 +197,22 @@ class Fly:
                 f"--no-render: expected it with a pilot by the state, got --pilot {self.pilot},"
                 " which flies by images; leave it out"
             )
-        if self.source != "sim":
-            raise InputError(
-                f"--source {self.source}: this version of the kit has no pilot for the real "
-                "aircraft yet; use --source sim"
-            )
-        if self.port:
-            from falconwing_kit.tools.bridge.open_port import PORTS
 
-            if self.port not in PORTS:
-                raise InputError(
-                    f"--port {self.port}: this version of the kit has no pilot for the real "
-                    f"aircraft yet; use {' or '.join(PORTS)}, or monitor a real board with "
-                    f"`falconwing bridge --port {self.port}`"
-                )
+    @property
+    def _is_hardware(self) -> bool:
+        """Whether camera or board are real."""
+        from falconwing_kit.tools.bridge.open_port import PORTS
+
+        return self.source == "camera" or self.port not in ("", *PORTS)
+
+    @property
+    def _measured(self) -> "BenchCalibration | None":
+        """The file of --bench."""
+        if self.bench is None:
+            return None
+        from falconwing_kit.tools.devices.calibration import read_bench
+
+        return read_bench(self.bench)
 
     @property
     def _scene(self) -> str:
@@ -210,6 +241,8 @@ class Fly:
                 "leave one of them out"
             )
         task = self._drawn_task()
+        if (bench := self._measured) is not None:
+            task = replace(task, model=bench.with_delay(task.model, bool(self.port)))
         return replace(task, start=_start(self.start, task)) if self.start else task
 
     def _drawn_task(self) -> Any:
@@ -255,7 +288,11 @@ class Fly:
         from falconwing_kit.tools.trials.trials import TrialSettings
 
         clock = SimulatedClock if self.headless else PacedClock
-        camera = fpv_camera(*_size(self.size))
+        size, bench = _size(self.size), self._measured
+        if bench is None or bench.lens is None:
+            camera = fpv_camera(*size)
+        else:
+            camera = bench.lens.lens.camera(*size)
         return TrialSettings(camera=camera, clock=clock, port=self.port, scene_name=self._scene)
 
     def _read_folders(
@@ -359,7 +396,7 @@ def make_pilot(fly: Fly, task: Any, model: "Model | None") -> "Callable[[TrialSe
     pilot = load_pilot(
         fly.pilot, fly.task, _trained_scene(fly._scene), fly._setting().camera,
         task.airframe.p_body_camera, model=model or task.model, airframe=task.airframe,
-        pad=task.pad,
+        pad=task.pad, weights=fly.weights,
     )  # fmt: skip
 
     def make(trial: "TrialSetup") -> "Pilot":
@@ -386,7 +423,8 @@ def fly_in_processes(fly: Fly, numbers: Sequence[int]) -> Iterator[dict[str, Any
     waiting: dict[int, dict[str, Any]] = {}
     due = iter(numbers)
     number = next(due, None)
-    there = replace(fly, model=None if fly.model is None else fly.model.resolve())
+    files = {name: getattr(fly, name) for name in ("model", "bench")}
+    there = replace(fly, **{name: path and path.resolve() for name, path in files.items()})
     for found, record in parallel_map(partial(_fly_one, there), numbers, fly.workers, fly.cluster):
         if isinstance(record, WorkerLostError):
             raise RuntimeError(f"trial {found}: {record}")

@@ -2,9 +2,9 @@
 
 import csv
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
@@ -21,6 +21,9 @@ from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.vision.hybrid_state import HybridFlight, HybridSettings, Video, estimate_flight
 from falconwing_kit.vision.images import decode_image, read_image
 from falconwing_kit.vision.marker import Marker, Pixels
+
+if TYPE_CHECKING:
+    from falconwing_kit.tools.devices.lens import Lens
 
 COLUMNS = ("t", "frame", *COMMAND_NAMES)
 MIN_POSES = 60  # 3 s at 20 Hz, the minimum of `identify`
@@ -47,6 +50,10 @@ class Poses:
     """a trained scene of the room: hall (shipped) or a file; poses are then refined against it"""
     camera: Path | None = None
     """transforms.json of `falconwing scene poses`, for the intrinsics; if not given, --fov-deg"""
+    bench: Path | None = None
+    """file of falconwing bench, for intrinsics and distortion; a log that `record --bench` made is
+    undistorted already
+    """
     fov_deg: float = 77.8
     """horizontal field of view; 77.8 is that of the hall's flights"""
     marker: str = "DICT_4X4_50,7,0.80"
@@ -75,10 +82,11 @@ class Poses:
         if self.out is not None:
             require_writable_path(self.out)
         marker, settings = self._marker(), self._settings()
-        video = read_video(self.video)
+        lens = self._lens()
+        video = read_video(self.video, lens)
         flight = estimate_flight(
             video,
-            self._camera(video),
+            self._camera(video, lens),
             self._network(),
             marker=marker,
             scene=None if self.scene is None else open_scene(self.scene),
@@ -124,7 +132,16 @@ class Poses:
 
         return PoseNet.load(self.network)
 
-    def _camera(self, video: Video) -> PinholeCamera:
+    def _lens(self) -> "Lens | None":
+        if self.bench is None:
+            return None
+        from falconwing_kit.tools.devices.calibration import read_bench
+
+        if self.camera is not None:
+            raise InputError("--bench: expected it without --camera; leave one of them out")
+        return read_bench(self.bench).require_lens()
+
+    def _camera(self, video: Video, lens: "Lens | None" = None) -> PinholeCamera:
         """The intrinsics at the size of the video's frames."""
         image = next(
             (image for image in map(video.image, range(len(video.t))) if image is not None), None
@@ -134,6 +151,8 @@ class Poses:
                 f"{video.name}: expected readable frames, got none; check the names in commands.csv"
             )
         height, width = image.shape[:2]
+        if lens is not None:
+            return lens.camera(width, height)
         if self.camera is None:
             return PinholeCamera.from_fov_deg(width, height, self.fov_deg)
         from falconwing_kit.tools.capture.photo_files import read_reconstruction
@@ -158,18 +177,29 @@ def scaled_camera(camera: PinholeCamera, width: int, height: int) -> PinholeCame
     )
 
 
-def read_video(path: Path) -> Video:
+def read_video(path: Path, lens: "Lens | None" = None) -> Video:
     """Read a recorded flight; its frames are loaded one by one when used.
 
     Args:
         path: a folder with commands.csv and the frames it names, or a flight log with images.
+        lens: removes the distortion of the frames, unless the log says that it is removed.
 
     Raises:
         FileNotFoundError: there is no such folder or file.
         InputError: commands.csv lacks a column or has a cell that is not a number, or the log has
             no images.
     """
-    return _from_folder(path) if path.is_dir() else _from_log(require_file(path))
+    video, is_straight = (
+        (_from_folder(path), False) if path.is_dir() else _from_log(require_file(path))
+    )
+    if lens is None or is_straight:
+        return video
+
+    def straight(frame: int) -> Pixels | None:
+        pixels = video.image(frame)
+        return None if pixels is None else lens.undistort(pixels)
+
+    return replace(video, image=straight)
 
 
 def _from_folder(folder: Path) -> Video:
@@ -205,7 +235,8 @@ def _from_folder(folder: Path) -> Video:
     )
 
 
-def _from_log(path: Path) -> Video:
+def _from_log(path: Path) -> tuple[Video, bool]:
+    """The video, and whether its images were undistorted when they were recorded."""
     log = read_flight_log(path)
     images = {image.t: image.pixels for image in log.images()}
     if not images:
@@ -213,12 +244,13 @@ def _from_log(path: Path) -> Video:
     table = to_flight_table(log)
     times = np.array(sorted(images))
     nearest = times[nearest_index(times, table.t)]
-    return Video(
+    video = Video(
         path.name,
         table.t,
         table.commands,
         lambda frame: decode_image(images[nearest[frame]].tobytes()),
     )
+    return video, log.metadata.get("undistorted") == "yes"
 
 
 def _read_image(path: Path) -> Pixels | None:

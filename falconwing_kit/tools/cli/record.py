@@ -1,21 +1,28 @@
 """falconwing record: log a manual flight: the pilot's sticks and the camera's images."""
 
+import sys
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 from falconwing_kit.core.checks import InputError, require_range
-from falconwing_kit.tools.cli.board_status import MAX_S, StatusLine, open_ready_port
-from falconwing_kit.tools.cli.calibrate import SIMULATED_PORTS
+from falconwing_kit.core.flight_log import FlightLogWriter
+from falconwing_kit.flight.loop import ImageSource, PacedClock
+from falconwing_kit.tools.bridge.open_port import open_paced_port
+from falconwing_kit.tools.bridge.recording import Recording, record
+from falconwing_kit.tools.bridge.rehearsal import SimulatedManualApproach
+from falconwing_kit.tools.cli.board_status import MAX_S, StatusLine, alert, open_ready_port
+from falconwing_kit.tools.cli.calibrate import SIMULATED_PORTS, choose_calibration
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+from falconwing_kit.tools.devices.calibration import StraightImages, read_bench
+from falconwing_kit.tools.devices.cameras import open_camera
+from falconwing_kit.tools.devices.grabber import Grabber
+from falconwing_kit.tools.devices.lens import Lens
 from falconwing_kit.trainer_port.port import TrainerPort
-
-if TYPE_CHECKING:
-    from falconwing_kit.core.flight_log import FlightLogWriter
-    from falconwing_kit.flight.loop import ImageSource
-    from falconwing_kit.tools.bridge.recording import Recording
+from falconwing_kit.vision.monitor import FrameMonitor
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,8 @@ class Record:
     """folder for the log, which is named by the time"""
     seconds: float = 0.0
     """duration; 0 is until Ctrl-C, or until a simulated approach ends"""
+    bench: Path | None = None
+    """file of falconwing bench: the images are undistorted before they are logged"""
     calibration: Path | None = None
     """file of falconwing calibrate; without it ./trainer_port.toml, or the kit's default"""
     radio: str = ""
@@ -48,7 +57,7 @@ class Record:
         """Record until the time is up or Ctrl-C.
 
         Returns:
-            0 if sticks were recorded until the end, 1 if none came or the disk was full.
+            0 if sticks and images were recorded until the end, 1 if none came or the disk was full.
 
         Raises:
             InputError: the port or the camera cannot be used, the log cannot be written, or an
@@ -59,6 +68,10 @@ class Record:
             raise InputError(
                 f"--source sim: expected a simulated board, got --port {self.port}; use --port sim"
             )
+        if self.source == "sim" and self.bench is not None:
+            raise InputError("--bench: expected it with a real camera, got --source sim")
+        is_real = self.port not in SIMULATED_PORTS
+        lens = None if self.bench is None else read_bench(self.bench, is_real).require_lens()
         if self.out.exists() and not self.out.is_dir():
             raise InputError(
                 f"--out {self.out}: expected a folder, got a file; choose another name"
@@ -66,62 +79,72 @@ class Record:
         self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / time.strftime("record_%Y%m%d_%H%M%S.mcap")
         with ExitStack() as stack:
-            port = stack.enter_context(open_ready_port(self.port, self.calibration, self.radio))
-            images = self._images(stack, port)
-            recording = self._record(port, images, path)
+            if self.source == "sim":
+                calibration = choose_calibration(self.port, self.calibration, self.radio)
+                clock = PacedClock()
+                clock.start()
+                port = stack.enter_context(open_paced_port(self.port, clock, calibration))
+                print(port.what, file=sys.stderr, flush=True)
+                recording = self._record(
+                    port, _approach(port), path, pause=lambda s: clock.wait_until(clock.now() + s)
+                )
+            else:
+                port = stack.enter_context(open_ready_port(self.port, self.calibration, self.radio))
+                camera = stack.enter_context(Grabber(open_camera(self.camera)))
+                images = camera if lens is None else StraightImages(camera, lens)
+                recording = self._record(port, images, path, lens)
         return self._show(path, recording)
 
-    def _images(self, stack: ExitStack, port: TrainerPort) -> "ImageSource":
-        """The camera, or the view of a simulated approach."""
-        if self.source == "sim" and port.simulation is not None:
-            from falconwing_kit.scene.arena import load_scene
-            from falconwing_kit.tools.bridge.rehearsal import SimulatedManualApproach
-
-            return SimulatedManualApproach(port.simulation, port.calibration, load_scene("arena"))
-        from falconwing_kit.tools.devices.cameras import open_camera
-        from falconwing_kit.tools.devices.grabber import Grabber
-
-        return stack.enter_context(Grabber(open_camera(self.camera)))
-
-    def _record(self, port: TrainerPort, images: "ImageSource", path: Path) -> "Recording":
+    def _record(
+        self,
+        port: TrainerPort,
+        images: ImageSource,
+        path: Path,
+        lens: Lens | None = None,
+        pause: Callable[[float], Any] = time.sleep,
+    ) -> Recording:
         """Write the log; a full disk has already raised an alert and ends the recording."""
-        from falconwing_kit.core.flight_log import FlightLogWriter
-        from falconwing_kit.tools.bridge.recording import Recording
-
         recording: Recording | None = None
         try:
             with FlightLogWriter(path) as log:
-                recording = self._run(port, images, log)
+                recording = Recording(
+                    port, log, images, alert, FrameMonitor(),
+                    None if lens is None else lens.camera(),
+                )  # fmt: skip
+                self._run(recording, pause)
         except InputError:
             if recording is None or not recording.stopped:
                 raise
         return recording
 
-    def _run(self, port: TrainerPort, images: "ImageSource", log: "FlightLogWriter") -> "Recording":
-        from falconwing_kit.tools.bridge.recording import Recording, record
-        from falconwing_kit.vision.monitor import FrameMonitor
-
-        line = StatusLine(port, self.seconds, moves=self.source == "camera")
-        recording = Recording(port, log, images, line.alert, FrameMonitor())
+    def _run(self, recording: Recording, pause: Callable[[float], Any]) -> None:
+        line = StatusLine(recording.port, self.seconds, moves=self.source == "camera")
         with suppress(KeyboardInterrupt):
-            record(recording, watch=lambda now: line.is_over(now) or getattr(images, "over", False))
+            record(
+                recording,
+                watch=lambda now: line.is_over(now) or getattr(recording.images, "over", False),
+                pause=pause,
+            )
         line.end()
-        return recording
 
-    def _show(self, path: Path, recording: "Recording") -> int:
+    def _show(self, path: Path, recording: Recording) -> int:
         """Print what was recorded; the exit code."""
-        complete = not recording.stopped and recording.counts.commands > 0
-        record = {"file": str(path), **asdict(recording.counts), "seconds": round(recording.t, 2)}
-        record |= {"stopped": recording.stopped, "board": recording.port.what}
+        counts = recording.counts
+        complete = not recording.stopped and counts.commands > 0 and counts.images > 0
+        facts = {"file": str(path), **asdict(recording.counts), "seconds": round(recording.t, 2)}
+        facts |= {"stopped": recording.stopped, "board": recording.port.what}
+        if counts.images == 0:
+            print(
+                f"no image came: is the camera plugged in, and is it {self.camera} (--camera)?",
+                file=sys.stderr,
+            )
         if self.json:
-            print_json(record)
+            print_json(facts)
             return 0 if complete else 1
-        print_table(("what", "value"), list(record.items()))
-        if recording.counts.images == 0:
-            print(f"no image came: is the camera plugged in, and is it {self.camera} (--camera)?")
+        print_table(("what", "value"), list(facts.items()))
         if recording.stopped:
             next_line(f"free disk space, then falconwing export {path} --to mcap --out saved.mcap")
-        elif recording.counts.commands == 0:
+        elif counts.commands == 0:
             next_line(
                 "no sticks came: is the radio on and its cable in? "
                 "falconwing bridge shows the pilot's sticks"
@@ -129,3 +152,10 @@ class Record:
         else:
             next_line(f"falconwing export {path} --out flight.csv")
         return 0 if complete else 1
+
+
+def _approach(port: TrainerPort) -> SimulatedManualApproach:
+    """The view of a SIMULATED approach, whose pilot moves the sticks of the board's radio."""
+    from falconwing_kit.scene.arena import load_scene
+
+    return SimulatedManualApproach(port.simulation, port.calibration, load_scene("arena"))

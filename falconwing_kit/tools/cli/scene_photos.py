@@ -4,12 +4,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
 
 from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.capture.align import Alignment, transform_reconstruction
 from falconwing_kit.tools.capture.photo_files import (
     Reconstruction,
@@ -22,12 +23,16 @@ from falconwing_kit.tools.capture.poses import (
     GOOD_REPROJECTION_PX,
     GOOD_SHARE,
     advice,
+    check_photos,
     photos_to_poses,
 )
 from falconwing_kit.tools.capture.survey.picture import draw_alignment
 from falconwing_kit.tools.capture.survey.points import Survey, read_clicks, read_survey
 from falconwing_kit.tools.capture.survey.recipe import Alignments, align_photos, check_points
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+
+if TYPE_CHECKING:
+    from falconwing_kit.tools.devices.lens import Lens
 
 Progress = Callable[[str, int, int], None]
 
@@ -46,6 +51,8 @@ class Poses:
     """the photos are in sequence like frames of a video: match only near ones"""
     focal_share: float = 0.6
     """initial focal length as a share of the photo's longer side"""
+    bench: Path | None = None
+    """file of falconwing bench, of the same camera and size: the photos are undistorted first"""
     images: Path | None = None
     """folder of a COLMAP model's photos, if not `images` or `photos` beside it"""
     straighten: bool = False
@@ -85,6 +92,11 @@ class Poses:
     def _find(self) -> Reconstruction:
         given = self.photos
         if _holds_poses(given):
+            if self.bench is not None:
+                raise InputError(
+                    "--bench: expected a folder of photos with it, got poses made elsewhere, which"
+                    " have a lens of their own; leave it out"
+                )
             found = read_reconstruction(given)
             found = (
                 replace(found, folder=self.images.resolve()) if self.images is not None else found
@@ -104,16 +116,52 @@ class Poses:
             }
             facts = {"grain": 0.0, "features_median": np.inf, **report}
             return replace(found, report={**report, "advice": advice(facts)})
+        focal_share = self.focal_share
+        if self.bench is not None:
+            from falconwing_kit.tools.devices.calibration import read_bench
+
+            lens = read_bench(self.bench).require_lens()
+            given = undistort_photos(given, lens, self.out / "straight")
+            focal_share = lens.fx_px / max(lens.width_px, lens.height_px)
         with _bar(self.json) as progress:
             return photos_to_poses(
                 given,
                 self.out,
-                focal_share=self.focal_share,
+                focal_share=focal_share,
                 walk=self.walk,
                 threads=self.threads,
                 seed=self.seed,
                 progress=progress,
             )
+
+
+def undistort_photos(photos: Path, lens: "Lens", folder: Path) -> Path:
+    """Write the photos of a folder without lens distortion, as PNG under their own names.
+
+    Args:
+        photos: the folder; subfolders are included.
+        lens: of their camera.
+        folder: to write to, created if missing; photos that are there already are kept.
+
+    Returns:
+        The folder.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+        InputError: the photos cannot be used together, or are not of the lens's shape.
+    """
+    import cv2
+
+    names, width, height = check_photos(photos)
+    lens.camera(width, height)
+    for name in names:
+        path = (folder / name).with_suffix(".png")
+        if not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            straight = lens.undistort(read_photo(photos / name))
+            with atomic_write(path) as file:
+                file.write(cv2.imencode(".png", straight[..., ::-1])[1].tobytes())
+    return folder
 
 
 @dataclass(frozen=True)

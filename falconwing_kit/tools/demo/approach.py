@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,10 +26,12 @@ from falconwing_kit.flight.loop import (
     Loop,
     LoopResult,
     LoopStep,
+    Pilot,
     SimulatedClock,
 )
 from falconwing_kit.flight.loop import PacedClock as PacedClock
 from falconwing_kit.flight.metadata import flight_metadata
+from falconwing_kit.flight.pilots import load_pilot
 from falconwing_kit.flight.sources import (
     TIME_ROUNDING,
     MeasuredStates,
@@ -40,10 +43,13 @@ from falconwing_kit.flight.sources import (
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.gaussians import GaussianScene
+from falconwing_kit.tools.bridge.python_board import PythonBoard
+from falconwing_kit.tools.bridge.through_port import PortWorld
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, figure, render
 
 PART = Path(__file__).with_name("approach.html.j2")
 FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")
+CAMERA_PILOT, TRAINED_SCENES = "student", ("hall", "hall_analog")
 PAD_BLUE = "#3d6fd6"
 STRIP_IMAGES = 6  # images in the strip
 FILM_HZ, FILM_COLOURS = 10.0, 256  # about a megabyte
@@ -59,6 +65,7 @@ class Approach:
     flight: LoopResult
     result: dict[str, Any]  # of the evaluation: success, ald_m, sink_rate_m_s, ...
     hall: str = ""  # source of the scene
+    pilot: str = "expert"
 
 
 def fly_approach(
@@ -70,7 +77,10 @@ def fly_approach(
     link: AnalogVideo | None = None,
     scene_name: str = "arena",
 ) -> Approach:
-    """Fly the expert's landing with the onboard camera view rendered and everything logged.
+    """Fly a landing through a simulated trainer port, with everything logged.
+
+    In the trained hall the pilot "student" lands by the camera's images alone; elsewhere, where no
+    network was trained, the expert by the noisy pose.
 
     Args:
         log: the MCAP file to write; an existing one is replaced after a complete flight only.
@@ -87,18 +97,25 @@ def fly_approach(
     """
     task = LandingTask()
     trial, camera = task.trial(trial_seed(0, seed)), fpv_camera()
-    view = RenderedView(trial.world, scene, camera, task.airframe.p_body_camera, link=link)
-    judge = task.judge(trial, camera, view)
+    name = approach_pilot(scene_name)
+    pilot: Pilot = task.expert(trial)
+    if name == CAMERA_PILOT:
+        pilot = load_pilot(name, camera=camera, p_body_camera_m=task.airframe.p_body_camera)
     partial = log.with_name(f".{log.name}.part")
     partial.unlink(missing_ok=True)
     try:
-        with FlightLogWriter(partial) as writer:
-            writer.metadata(flight_metadata(task, trial, scene=scene_name, pilot="expert"))
+        with ExitStack() as stack:
+            writer = stack.enter_context(FlightLogWriter(partial))
+            writer.metadata(flight_metadata(task, trial, scene=scene_name, pilot=name))
+            board = stack.enter_context(closing(PythonBoard()))
+            world = stack.enter_context(PortWorld(trial.world, board, on_event=writer.event))
+            view = RenderedView(world, scene, camera, task.airframe.p_body_camera, link=link)
+            judge = task.judge(trial, camera, view)
             loop = Loop(
-                task.expert(trial),
-                trial.world,
+                pilot,
+                world,
                 view,
-                MeasuredStates(trial.world),
+                MeasuredStates(world),  # for the log; a pilot by images does not read them
                 clock=clock or SimulatedClock(),
                 log=writer,
                 hooks=tuple(hooks),
@@ -111,7 +128,12 @@ def fly_approach(
         raise write_error(log, error) from None
     finally:
         partial.unlink(missing_ok=True)
-    return Approach(log, flight, judge.result(), scene.source)
+    return Approach(log, flight, judge.result(), scene.source, name)
+
+
+def approach_pilot(scene_name: str) -> str:
+    """The pilot that flies the approach in a scene."""
+    return CAMERA_PILOT if scene_name in TRAINED_SCENES else "expert"
 
 
 def mode_at(log: FlightLog, t: float) -> str:
@@ -348,6 +370,7 @@ def approach_record(approach: Approach) -> dict[str, Any]:
     return {
         "made_by": "this kit, SIMULATED",
         "hall": approach.hall,
+        "pilot": approach.pilot,
         "ended": approach.flight.reason,
         "seconds": len(approach.flight.t) * CONTROL_PERIOD_S,
         **result,
@@ -363,6 +386,7 @@ def approach_section(approach: Approach, folder: Path) -> str:
         reason=approach.flight.reason,
         seconds=approach.flight.t[-1],
         hall=approach.hall,
+        pilot=approach.pilot,
         log=approach.log.name,
         fpv=fpv,
         along=along,

@@ -22,6 +22,7 @@ from falconwing_kit.tools.reports.gap_text import (
     addition_rows,
     before_after_text,
     contest_text,
+    detectable_rows,
     effect_equations,
     equation,
     gap_rows,
@@ -108,9 +109,9 @@ def write_gap(
         draw_traces(window, figures[name])
     write_model(folder / "model.toml", study.base.found)
     if study.naming.verdict == "named":
-        _write_best_model(study, folder / "model_with_effect.toml")
+        write_best_model(study, folder / "model_with_effect.toml")
     if improve:
-        _write_best_model(study, folder / "model_improved.toml")
+        write_best_model(study, folder / "model_improved.toml")
     study.seconds["write"] = time.perf_counter() - began
     record = gap_record(study)
     write_page(folder / "report.html", PAGE, figures=figures, traces=traces, **_page(study, record))
@@ -119,8 +120,13 @@ def write_gap(
     return record
 
 
-def _write_best_model(study: GapStudy, path: Path) -> None:
-    """The model with what was found, or the completed nominal model where nothing was."""
+def write_best_model(study: GapStudy, path: Path) -> None:
+    """Write the model with what was found, or the completed nominal model where nothing was.
+
+    Args:
+        study: what was found.
+        path: the TOML file; it is replaced atomically.
+    """
     closed, base = study.closed, study.base
     model, confidence, after = closed.model, closed.confidence, closed.after.chi2
     flights: tuple[str, ...] = study.names
@@ -156,6 +162,7 @@ def _page(study: GapStudy, record: dict[str, Any]) -> dict[str, Any]:
         "where": where_text(study),
         "next_flight": sentence(record["next_flight"]),
         "additions": addition_rows(study),
+        "detectable": detectable_rows(study),
         "noise": noise_text(record["noise"]),
     }
 

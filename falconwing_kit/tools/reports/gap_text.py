@@ -82,6 +82,21 @@ def _with_degrees(value: float, unit: str) -> str:
     return f"{text} ({quantity(math.degrees(value), '°')})" if unit == "rad" else text
 
 
+def detectable_rows(study: GapStudy) -> list[tuple[str, ...]]:
+    """What each effect needs to be named on this flight: effect, meaning, size, smallest size."""
+    return [
+        (
+            display_name(d.effect),
+            d.parameter.meaning,
+            *(
+                quantity(size, d.parameter.unit) if math.isfinite(size) else "no size"
+                for size in (d.size, d.known_aircraft)
+            ),
+        )
+        for d in study.detectable
+    ]
+
+
 def addition_rows(study: GapStudy) -> list[tuple[str, str, str]]:
     """What the nominal model has beyond the model that was identified: effect, meaning, value."""
     model, had = study.base.result.model, study.base.found.model.values

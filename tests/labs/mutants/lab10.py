@@ -49,34 +49,86 @@ MUTANTS = {
         ("pause must be longer than the limit", ">= PAUSE_US", "> PAUSE_US"),
         ("only the last frame", "np.array(frames).reshape", "np.array(frames[-1:]).reshape"),
     ),
+    "matches": (
+        ("signed difference", "all(abs(a - b) <= NEAR_US", "all(a - b <= NEAR_US"),
+        ("the limit itself does not match", "abs(a - b) <= NEAR_US", "abs(a - b) < NEAR_US"),
+        ("any slot in place of all", "all(abs(a - b) <= NEAR_US", "any(abs(a - b) <= NEAR_US"),
+        (
+            "only the throttle",
+            "zip(command_us, pilot_us, strict=True))",
+            "[(command_us[0], pilot_us[0])])",
+        ),
+        ("idle matches against any pilot", "if pilot_us is not None:", "if False:"),
+        ("throttle as wide as the others", "(IDLE_US, NEAR_US,", "(NEAR_US, NEAR_US,"),
+        ("all as narrow as the throttle", "(IDLE_US, NEAR_US, NEAR_US, NEAR_US)", "(IDLE_US,) * 4"),
+    ),
     "failsafe_state": (
-        ("engages without letting go first", 'state == "SAFE" and armed', 'state == "SAFE"'),
-        ("one frame too late", "good >= ENGAGE_FRAMES", "good > ENGAGE_FRAMES"),
-        ("a gap does not restart the count", "        good = 0\n", "        pass\n"),
-        ("age is never set back", "0.0 if valid else memory", "memory"),
+        ("engages without letting go first", 'if not memory["engage"]:', 'if new["good"] == 0:'),
+        ("one command too late", ">= ENGAGE_FRAMES", "> ENGAGE_FRAMES"),
+        ("engages on anything", "if not matches(command_us, pilot_us):", "if False:"),
+        (
+            "only the last command must match",
+            '        if not matches(command_us, pilot_us):\n            new["good"] = 0\n'
+            '        if new["good"] >= ENGAGE_FRAMES:',
+            '        if new["good"] >= ENGAGE_FRAMES and matches(command_us, pilot_us):',
+        ),
+        (
+            "matches in flight too",
+            'elif new["state"] == "SAFE":\n        if not memory',
+            'elif not matches(command_us, pilot_us):\n        new["state"] = "SAFE"\n'
+            '    elif new["state"] == "SAFE":\n        if not memory',
+        ),
+        ("no window", '+ 1 if new["edge_ms"] < WINDOW_MS else 0', "+ 1"),
+        ("window's limit counts", 'new["edge_ms"] < WINDOW_MS', 'new["edge_ms"] <= WINDOW_MS'),
+        ("silence does not end the count", 'LOST_MS:\n        new["good"] = 0\n', "LOST_MS:\n"),
+        ("age is never set back", '{**new, "age_ms": 0.0, "engage"', '{**new, "engage"'),
         (
             "LOST comes back by itself",
-            'elif valid and state == "HOLD"',
-            'elif valid and state in ("HOLD", "LOST")',
+            '    elif new["state"] == "SAFE":',
+            '    elif new["state"] == "LOST":\n        new["state"] = "ACTIVE"\n'
+            '    elif new["state"] == "SAFE":',
+        ),
+        ("limit must be passed, not reached", '"age_ms"] >= LOST_MS', '"age_ms"] > LOST_MS'),
+        (
+            "pilot ignored",
+            '> MOVED_US:\n            new["state"] = "SAFE"',
+            "> MOVED_US:\n            pass",
+        ),
+        ("pilot may move one way", "max(abs(a - b)", "max((a - b)"),
+        ("pilot's limit included", "> MOVED_US", ">= MOVED_US"),
+        (
+            "only fast movements",
+            'if new["pilot_us"] is None:\n            new["pilot_us"] = pilot_us\n'
+            "        if max(abs(a - b) for a, b in "
+            'zip(pilot_us, new["pilot_us"], strict=True)) > MOVED_US:\n'
+            '            new["state"] = "SAFE"',
+            'if new["pilot_us"] is None:\n            new["pilot_us"] = pilot_us\n'
+            "        if max(abs(a - b) for a, b in "
+            'zip(pilot_us, new["pilot_us"], strict=True)) > MOVED_US:\n'
+            '            new["state"] = "SAFE"\n        new["pilot_us"] = pilot_us',
         ),
         (
             "pilot moves, the host may ask again at once",
-            'state, armed, good = "SAFE", False, 0',
-            'state, armed, good = "SAFE", True, 0',
+            '> MOVED_US:\n            new["state"] = "SAFE"',
+            '> MOVED_US:\n            new["state"], memory = "SAFE", {**memory, "engage": False}',
         ),
         (
-            "pilot overruled by a host that engages",
-            "if pilot_moved:",
-            "if pilot_moved and not (valid and engage):",
+            "sticks of the engagement before",
+            'new["good"], new["pilot_us"] = "ACTIVE", 0, pilot_us',
+            'new["good"] = "ACTIVE", 0',
         ),
-        ("limit must be passed, not reached", "age_ms >= LOST_MS", "age_ms > LOST_MS"),
-        ("HOLD for ever", 'state in ("ACTIVE", "HOLD") and', 'state == "ACTIVE" and'),
         (
-            "engage off is obeyed without a valid command",
-            "elif valid and not engage",
-            "elif not engage",
+            "engage off is obeyed without a command",
+            "    if command_us is None:\n        return new\n    if not engage:",
+            '    if not engage:\n        new["state"], new["good"] = "SAFE", 0\n'
+            "    if command_us is None:\n"
+            "        return new\n    if not engage:",
         ),
-        ("steps counted in place of time", 'memory["age_ms"] + dt_ms', 'memory["age_ms"] + 22.0'),
+        (
+            "steps counted in place of time",
+            'age_ms=memory["age_ms"] + dt_ms',
+            'age_ms=memory["age_ms"] + 22.0',
+        ),
     ),
     "ssim_monitor": (
         ("8-bit arithmetic", "images.astype(float)", "images"),

@@ -51,7 +51,8 @@ class Bench:
 
     def engage(self):
         for flag in (False, *[True] * 5):
-            self.send(flag)
+            self.send(flag, SAFE)  # no pilot is measured
+        self.send(True)
         self.run(0.051)
         assert self.status.state == "ACTIVE"
         return self
@@ -314,6 +315,7 @@ def story(board):
                 bench.status.state,
                 bench.status.fault,
                 bench.status.boot_count,
+                board.led,
                 bench.frames[-1].slots_us,
             )
         )
@@ -366,3 +368,4 @@ def test_the_firmware_tells_the_same_story():
         assert mine == other
         assert slots == pytest.approx(pins, abs=1.0)
     assert {state for state, *_ in ours[0]} == {"SAFE", "ACTIVE", "LOST", "FAULT"}
+    assert all(led == (state == "ACTIVE") for state, _, _, led, _ in ours[0])

@@ -132,6 +132,14 @@ def test_every_image_is_logged_once_with_its_time(flight):
     assert "pilot silent" in [event.name for event in log.events]
 
 
+def test_an_image_from_before_the_recording_does_not_stop_it(flight):
+    """A camera that ran before gives an image of -0.1 s; it is logged at zero."""
+    flight.camera.next_image = lambda t: Image(0, -0.1, np.full(300, 7, np.uint8))
+    flight.run(0.5)
+    assert not flight.recording.stopped
+    assert read_after(flight).image_times.tolist() == [0.0]
+
+
 def test_the_log_becomes_a_flight_table(flight):
     """One row an image, each with the sticks of its time; what `falconwing export` writes for
     identification.

@@ -195,11 +195,12 @@ def test_status_comes_twenty_times_a_second(board):
 
 
 def test_commands_reach_the_pin(board):
-    """engage=0, the edge and five: the sixth frame on is the sticks, to a microsecond; frames are
-    22 ms long.
+    """engage=0, the edge and five at idle, then the sticks, to a microsecond; frames are 22 ms
+    long.
     """
     for k in range(8):
-        board.write(encode_channels(k, (1200, 1500, 1600, 1400), engage=k > 0))
+        sticks = (1200, 1500, 1600, 1400) if k > 5 else (1000, 1500, 1500, 1500)
+        board.write(encode_channels(k, sticks, engage=k > 0))
         board.run_until(board.t + 0.05)
     frames = board.ppm_frames()
     assert frames[-1].slots_us == pytest.approx([1200, 1500, 1600, 1400], abs=1.0)
@@ -296,7 +297,8 @@ def test_pyserial_flies_the_chip():
 
         listen(lambda: statuses)
         for k in range(20):
-            port.write(encode_channels(k, (1200, 1500, 1500, 1400), engage=k > 0))
+            sticks = (1200, 1500, 1500, 1400) if k > 8 else (1000, 1500, 1500, 1500)
+            port.write(encode_channels(k, sticks, engage=k > 0))
             end = time.monotonic() + 0.05
             listen(lambda end=end: time.monotonic() >= end)
         listen(lambda: statuses[-1].accepted == 20)

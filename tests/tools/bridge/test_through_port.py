@@ -127,6 +127,37 @@ def test_order_and_reversal_are_undone_by_the_same_calibration():
     assert world.came[-1][1].vector == pytest.approx(STICKS.vector, abs=MICROSECOND)
 
 
+def test_the_pilots_sticks_are_measured_and_end_the_flight_when_they_move(board):
+    """The board engages near the SIMULATED pilot's sticks; rudder moved by 0.25 of its half, 125
+    us, is a take-over: idle and neutral within the radio's two frames and one of the board, 66 ms,
+    and the 8 ms until four slots are out.
+    """
+    world, events = RecordingWorld(), []
+    with PortWorld(world, board, on_event=lambda *event: events.append(event)) as port_world:
+        fly(port_world, 0.5)
+        status = port_world.port.status
+        assert status.has_pilot and not status.engages_without_pilot
+        assert port_world.port.pilot.channels_us == pytest.approx((1550, 1350, 1560, 1750), abs=1)
+        sticks = port_world.calibration.channels_us(STICKS)
+        board.set_pilot((*sticks[:3], sticks[3] + 125))
+        fly(port_world, 0.4, begin=0.5)
+    safe = next(t for t, command in world.came if command.throttle < 0.01)
+    assert 0.45 < safe < 0.45 + 0.066 + 0.008
+    assert np.abs(world.came[-1][1].vector).max() < 1.5 * MICROSECOND
+    assert "pilot took over" in [name for _, name, _ in events]
+
+
+def test_a_board_without_the_pilots_pulses_is_not_engaged_in_flight(monkeypatch):
+    """A broken wire to the pilot's pin: cruise throttle does not engage, and the sentence says
+    which stick.
+    """
+    board = PythonBoard()
+    monkeypatch.setattr(board, "set_pilot", lambda channels_us: None)
+    port_world = PortWorld(RecordingWorld(), board)
+    with pytest.raises(InputError, match=r"got SAFE \(throttle 1550 us, without a pilot's signal"):
+        port_world.send(0.0, STICKS)
+
+
 def test_a_dead_board_is_said_before_the_flight():
     """A board that hangs for good answers nothing."""
     board = PythonBoard()

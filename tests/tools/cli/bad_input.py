@@ -118,6 +118,8 @@ SLOTS: dict[str, tuple[str, str]] = {
     "scene info sog": ("scene info {}", ".sog"),
     "render": ("render {} --pose=0,0,1,0,0,0 --out OUT.png", ".ply"),
     "fly --model": ("fly --headless --no-render --model {}", ".toml"),
+    "fly --bench": ("fly --headless --no-render --bench {}", ".toml"),
+    "poses --bench": ("poses falconwing_kit/data/hall_clip --bench {} --out OUT.csv", ".toml"),
     "fly --start": ("fly --headless --no-render --start {}", ".csv"),
     "fly --scene": ("fly --headless --scene {}", ".npz"),
     "size --airframe": ("size --airframe {}", ".toml"),

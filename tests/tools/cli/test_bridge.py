@@ -2,6 +2,7 @@
 are simulated.
 """
 
+import dataclasses
 import json
 import os
 import signal
@@ -12,14 +13,21 @@ import time
 import types
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command
+from falconwing_kit.flight.sources import RenderedView
 from falconwing_kit.tools.bridge.bus import COMMAND, StampedCommand
 from falconwing_kit.tools.bridge.open_port import open_port
 from falconwing_kit.tools.bridge.ros import RosBus
-from falconwing_kit.tools.cli.board_status import StatusLine, pilot_sticks, status_text
+from falconwing_kit.tools.cli.board_status import (
+    StatusLine,
+    pilot_sticks,
+    port_record,
+    status_text,
+)
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.trainer_port import usb
 
@@ -167,14 +175,38 @@ def test_a_recorded_approach_is_a_whole_log(tmp_path, capsys):
     )
 
 
+def test_a_busy_machine_raises_no_alarm_of_the_simulated_camera(monkeypatch, capsys):
+    """Every image takes 0.35 s to draw, longer than the 0.3 s after which the monitor calls a real
+    camera frozen. The flight's own time stretches: an image every 50 ms, none lost, no alarm.
+    """
+    look = RenderedView.look
+
+    def slow_look(view):
+        time.sleep(0.35)
+        return look(view)
+
+    monkeypatch.setattr(RenderedView, "look", slow_look)
+    assert run("record", "--port", "sim-python", "--source", "sim", "--seconds", "1", "--json") == 0
+    said = capsys.readouterr()
+    found = json.loads(said.out)
+    log = read_flight_log(found["file"])
+    assert found["alarms"] == 0 and "ALERT" not in said.err
+    assert len(log.image_times) >= 19
+    assert np.diff(log.image_times) == pytest.approx(0.05, abs=1e-6)
+
+
 def test_a_camera_that_is_not_there_costs_no_sticks(capsys):
-    """The grabber goes on looking for camera 99; the sticks are recorded without images."""
-    assert run("record", "--port", "sim-python", "--camera", "99", "--seconds", "0.5") == 0
-    said = capsys.readouterr().out
-    assert (
-        "next: falconwing export" in said
-        and "no image came: is the camera plugged in, and is it 99" in said
-    )
+    """The grabber goes on looking for camera 99; the sticks are recorded without images, which is
+    not what was asked for: exit 1 and a sentence, with --json too.
+    """
+    words = ["record", "--port", "sim-python", "--camera", "99", "--seconds", "0.5"]
+    assert run(*words) == 1
+    said = capsys.readouterr()
+    assert "next: falconwing export" in said.out
+    assert "no image came: is the camera plugged in, and is it 99" in said.err
+    assert run(*words, "--out", "again", "--json") == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["commands"] > 5 and "no image came" in said.err
 
 
 def test_a_recording_without_sticks_is_no_success(monkeypatch, capsys):
@@ -243,6 +275,25 @@ def test_the_live_line_says_state_delay_and_sticks():
         assert "pilot none" in status_text(port)  # half a second after the radio's last frame
 
 
+def test_the_live_line_says_why_the_board_does_not_engage_and_what_status_shows():
+    """Cruise throttle without a pilot's signal; then the compile switch, and a take-over."""
+    with open_port("sim-python") as port:
+        port.wait_ready()
+        end = time.monotonic() + 20.0
+        while port.engagement != "engaging" and time.monotonic() < end:
+            port.send(Command(0.5, 0.0, 0.0, 0.0), engage=True)
+            time.sleep(0.02)
+            port.poll()
+        expected = "not engaged: throttle 1500 us, without a pilot's signal 1000 +- 20 us"
+        assert expected in status_text(port)
+        assert not port_record(port)["engages_without_pilot"]
+        port.status = dataclasses.replace(
+            port.status, engages_without_pilot=True, pilot_took_over=True
+        )
+        assert status_text(port).startswith("SAFE TAKEN by the pilot ENGAGES WITHOUT PILOT")
+        assert port_record(port)["engages_without_pilot"]
+
+
 def test_the_live_line_fits_the_terminal(monkeypatch, capsys):
     """One that wraps would leave its first half behind, four times a second; 60 columns, one of
     them for the cursor.
@@ -271,7 +322,7 @@ def publishing_on_ros():
     def publish():
         while not stop.wait(0.05):
             bus.publish(
-                COMMAND, StampedCommand(time.time(), Command(0.5, 0.1, 0.0, 0.0), engage=True)
+                COMMAND, StampedCommand(time.time(), Command(0.0, 0.1, 0.0, 0.0), engage=True)
             )
 
     publisher = threading.Thread(target=publish)

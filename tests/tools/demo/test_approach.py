@@ -211,7 +211,7 @@ def test_page_part_says_simulation_and_where_it_touched_down(approach, figures):
 def test_missed_landing_is_owned_up_to(approach, figures):
     """No centimetres where nothing was touched."""
     missed = SimpleNamespace(
-        log=approach.log, result={"success": False}, flight=approach.flight, hall=""
+        log=approach.log, result={"success": False}, flight=approach.flight, hall="", pilot="expert"
     )
     text = approach_section(missed, approach.log.parent)
     assert "It did not land on the pad" in text and "beside its centre line" not in text
@@ -328,3 +328,13 @@ def test_speed_of_a_straight_line(extra):
     t = 0.1 * np.arange(9)
     table = SimpleNamespace(t=t, p_world=np.stack([3.0 * t, 4.0 * t, 0.0 * t], axis=1), extra=extra)
     assert speeds(table) == pytest.approx(5.0, rel=1e-12)
+
+
+def test_the_trained_hall_is_landed_in_by_images_alone(tmp_path):
+    """The log names the pilot, and its commands answer images; the page says what it sees."""
+    flown = fly_approach(load_scene("hall"), tmp_path / "hall.mcap", scene_name="hall")
+    assert flown.result["success"] and flown.result["ald_m"] < 0.25
+    log = read_flight_log(flown.log)
+    assert log.metadata["pilot"] == "student"
+    assert all(command.image_sequence >= 0 for command in log.commands[1:])
+    assert approach_record(flown)["pilot"] == "student"

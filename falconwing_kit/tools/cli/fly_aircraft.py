@@ -1,0 +1,277 @@
+"""`falconwing fly --port P --source camera`: a pilot by images -> a real aircraft, supervised.
+
+The same loop and supervisor as in simulation; only camera, board and clock are real. A person holds
+the radio and its trainer switch, which always takes the aircraft back.
+"""
+
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.core.messages import SAFE_COMMAND, Command
+from falconwing_kit.flight.loop import Loop, LoopResult, LoopStep, WallClock
+from falconwing_kit.flight.pilots import PILOTS
+from falconwing_kit.flight.supervisor import Supervisor, SupervisorSettings
+from falconwing_kit.tools.cli.board_status import StatusLine, open_ready_port, pilot_sticks
+from falconwing_kit.tools.cli.calibrate import SIMULATED_PORTS, choose_calibration
+from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+from falconwing_kit.trainer_port.port import TrainerPort
+
+if TYPE_CHECKING:
+    from falconwing_kit.core.flight_log import FlightLogWriter
+    from falconwing_kit.flight.loop import ImageSource
+    from falconwing_kit.scene.camera import PinholeCamera
+    from falconwing_kit.tools.cli.fly import Fly
+    from falconwing_kit.tools.devices.calibration import BenchCalibration
+
+FIRST_IMAGE_S = 5.0  # longest wait for the camera
+ENGAGE_S = 15.0  # longest wait for the board to follow
+MAX_S = 3600.0  # of --seconds
+TAKEN_OVER = "the board left ACTIVE: the person flies"
+ENDINGS = ("duration", "interrupted", TAKEN_OVER)  # of a flight that went as it should
+
+
+def fly_aircraft(fly: "Fly") -> int:
+    """Fly as the options say, until the time is up, Ctrl-C, the person or the supervisor.
+
+    Returns:
+        0 if the aircraft was flown and nobody but the person or the clock ended it, else 1.
+
+    Raises:
+        InputError: an option is wrong, a step before the flight is missing (the message names it),
+            or camera or board cannot be used.
+    """
+    bench = _check(fly)
+    pilot, lens = _load_pilot(fly)
+    with ExitStack() as stack:
+        port = stack.enter_context(open_ready_port(fly.port, fly.calibration, fly.radio))
+        images = _open_images(stack, fly, bench)
+        is_straight = bench is not None and bench.lens is not None
+        log = _open_log(stack, fly, port, lens, is_straight)
+        sink = AircraftPort(port, log)
+        supervisor = _supervisor(fly, bench)
+        loop = Loop(
+            pilot, sink, images, clock=WallClock(), log=log, supervisor=supervisor,
+            hooks=(_StatusHook(port),),
+        )  # fmt: skip
+        try:
+            flight = loop.run(fly.seconds, sink.stop_reason)
+        finally:  # at once: a camera or a disk may take seconds to close
+            port.hand_back()
+        record = _record(fly, port, sink, supervisor, flight)
+    _show(fly, record)
+    return 0 if sink.engaged_at is not None and flight.reason in ENDINGS else 1
+
+
+class AircraftPort:
+    """Sink of the loop: commands -> trainer port, which is engaged without a jump of the sticks.
+
+    Until the board follows, it gets the person's own sticks, as its pilot input measures them, or
+    idle and neutral where it measures none; from then on the pilot's commands.
+
+    Args:
+        port: ready.
+        log: for the port's events; None for none.
+    """
+
+    def __init__(self, port: TrainerPort, log: "FlightLogWriter | None" = None) -> None:
+        self.port, self._log = port, log
+        self.engaged_at: float | None = None  # time of the loop [s]
+        self._dropped: Mapping[str, Any] = {}  # details of the event that ended the engagement
+
+    def send(self, t: float, command: Command) -> None:
+        """Send the command at t [s], or the person's sticks while the board does not follow yet."""
+        self.port.poll()
+        self._read_events(t)
+        if self.port.engagement != "engaged":
+            sticks = pilot_sticks(self.port) or SAFE_COMMAND.vector.tolist()
+            command = Command.clip(sticks[0], sticks[1], sticks[2], sticks[3])
+        self.port.send(command, engage=True)
+
+    def hand_back(self) -> None:
+        """Return control to the person; later commands are not followed."""
+        self.port.hand_back()
+
+    def stop_reason(self, step: LoopStep) -> str:
+        """Why the flight is over; empty to go on."""
+        if self.port.engagement == "dropped":
+            state, fault = self._dropped.get("state"), self._dropped.get("fault")
+            taken_over = (state, fault) == ("SAFE", "none")
+            return TAKEN_OVER if taken_over else f"the board dropped: {dict(self._dropped)}"
+        if self.port.state in ("silent", "lost"):
+            return f"port {self.port.state}"
+        if self.engaged_at is None and step.t > ENGAGE_S:
+            return f"the board did not engage within {ENGAGE_S:g} s"
+        return ""
+
+    def _read_events(self, t: float) -> None:
+        """Note and log what happened at the port."""
+        while self.port.events:
+            event = self.port.events.popleft()
+            if event.name == "engaged":
+                self.engaged_at = t
+                print("ENGAGED: the pilot's commands go out", file=sys.stderr, flush=True)
+            if event.name in ("dropped", "no pulses", "bad command"):
+                self._dropped = {"event": event.name, **event.details}
+            if self._log is not None:
+                try:
+                    self._log.event(t, event.name, event.details)
+                except InputError:  # a full disk; the loop, which writes here too, reports it
+                    self._log = None
+
+
+@dataclass
+class _StatusHook:
+    """The status line, as a hook of the loop."""
+
+    port: TrainerPort
+
+    def __post_init__(self) -> None:
+        self._line = StatusLine(self.port, 0.0, moves=False)
+
+    def __call__(self, step: LoopStep) -> None:
+        self._line.is_over()
+
+
+def _check(fly: "Fly") -> "BenchCalibration | None":
+    """Refuse wrong options and missing steps before anything is opened; the bench's file."""
+    if not fly.port or fly.source != "camera":
+        raise InputError(
+            f"--port {fly.port or 'none'}, --source {fly.source}: expected a serial port and"
+            " --source camera together for a real aircraft, or a simulated board (sim, sim-python)"
+            " and --source sim"
+        )
+    defaults = type(fly)()
+    for name in ("trials", "workers", "cluster", "start", "against", "no_render"):
+        if getattr(fly, name) != getattr(defaults, name):
+            option = name.replace("_", "-")
+            raise InputError(
+                f"--{option}: expected it in simulation only, got --source camera; leave it out"
+            )
+    require_range("--seconds", fly.seconds, low=1.0, high=MAX_S)
+    if PILOTS[fly.pilot].reads_state:
+        by_images = ", ".join(name for name, each in PILOTS.items() if not each.reads_state)
+        raise InputError(
+            f"--pilot {fly.pilot}: expected a pilot by images for a real aircraft ({by_images}),"
+            " got one by the state, which no camera measures"
+        )
+    is_real = fly.port not in SIMULATED_PORTS
+    if is_real:
+        from falconwing_kit.tools.hardware.bench_record import require_bench_test
+        from falconwing_kit.tools.hardware.checklists import load_checklists
+
+        calibration = choose_calibration(fly.port, fly.calibration, fly.radio)
+        path = require_bench_test(fly.checklists, load_checklists().bench, calibration)
+        print(f"bench test of {calibration.radio}: {path}", file=sys.stderr)
+    if fly.bench is None:
+        print(
+            "warning: no --bench FILE: the lens is assumed to be the kit's, without distortion;"
+            " measure yours with falconwing bench",
+            file=sys.stderr,
+        )
+        return None
+    from falconwing_kit.tools.devices.calibration import read_bench
+
+    return read_bench(fly.bench, for_aircraft=is_real)
+
+
+def _load_pilot(fly: "Fly") -> tuple[Any, "PinholeCamera"]:
+    """The pilot, for the camera's own image size; loaded before the camera runs."""
+    from falconwing_kit.tools.cli.fly import make_pilot
+    from falconwing_kit.tools.devices.cameras import open_camera
+
+    camera = open_camera(fly.camera)
+    try:
+        camera.open()
+        pixels = camera.read()
+    except (OSError, EOFError) as error:
+        raise InputError(f"--camera {fly.camera}: {error}") from None
+    finally:
+        camera.close()
+    if pixels is None:
+        raise InputError(f"--camera {fly.camera}: expected an image, got none; is it plugged in?")
+    height, width = pixels.shape[:2]
+    sized = replace(fly, size=f"{width}x{height}")
+    task = sized._task()
+    return make_pilot(sized, task, sized._model(task))(task.trial(0)), sized._setting().camera
+
+
+def _open_images(stack: ExitStack, fly: "Fly", bench: "BenchCalibration | None") -> "ImageSource":
+    """The camera's images, undistorted if the lens is known; the first one is there."""
+    from falconwing_kit.tools.devices.calibration import StraightImages
+    from falconwing_kit.tools.devices.cameras import open_camera
+    from falconwing_kit.tools.devices.grabber import Grabber
+
+    images = stack.enter_context(Grabber(open_camera(fly.camera)))
+    if not images.wait(1, FIRST_IMAGE_S):
+        raise InputError(
+            f"--camera {fly.camera}: expected an image, got none; {images.health.trouble}"
+        )
+    return (
+        images if bench is None or bench.lens is None else StraightImages(images, bench.lens.lens)
+    )
+
+
+def _supervisor(fly: "Fly", bench: "BenchCalibration | None") -> Supervisor:
+    """The supervisor; the measured delay of the camera counts towards the age of an image."""
+    from falconwing_kit.vision.monitor import FrameMonitor
+
+    max_age_s = fly.max_image_age
+    if bench is not None and bench.latency is not None:
+        max_age_s -= bench.latency.camera_s
+    settings = SupervisorSettings(max_image_age_s=max_age_s, battery_s=fly.battery_s)
+    return Supervisor(settings, by_images=True, monitor=FrameMonitor())
+
+
+def _open_log(
+    stack: ExitStack, fly: "Fly", port: TrainerPort, lens: "PinholeCamera", is_straight: bool
+) -> "FlightLogWriter | None":
+    """The flight log in --out."""
+    if fly.out is None:
+        print("warning: no --out DIR: this flight is not logged", file=sys.stderr)
+        return None
+    from falconwing_kit.core.flight_log import FlightLogWriter
+    from falconwing_kit.tools.bridge.recording import recording_metadata
+
+    fly.out.mkdir(parents=True, exist_ok=True)
+    path = fly.out / time.strftime("flight_%Y%m%d_%H%M%S.mcap")
+    log = stack.enter_context(FlightLogWriter(path))
+    how = recording_metadata(port, lens, undistorted=is_straight)
+    log.metadata({**how, "mode": "autonomous", "pilot": fly.pilot, "task": fly.task})
+    return log
+
+
+def _record(
+    fly: "Fly", port: TrainerPort, sink: AircraftPort, supervisor: Supervisor, flight: LoopResult
+) -> dict[str, Any]:
+    """What the flight was."""
+    return {
+        "board": port.what,
+        "simulated_board": port.simulation is not None,
+        "task": fly.task,
+        "pilot": fly.pilot,
+        "reason": supervisor.reason or flight.reason,
+        "engaged_at_s": sink.engaged_at,
+        "seconds": round(float(flight.t[-1]), 2) if len(flight.t) else 0.0,
+        "steps": len(flight.t),
+        "skipped": flight.skipped,
+        "largest_image_age_s": round(supervisor.largest_age_s, 3),
+        "margin_s": round(supervisor.margin_s, 3),
+        **{f"commands_{name}": asdict(port.counters)[name] for name in ("sent", "dropped")},
+    }
+
+
+def _show(fly: "Fly", record: dict[str, Any]) -> None:
+    if fly.json:
+        print_json(record)
+        return
+    title = "SIMULATED board, no aircraft" if record["simulated_board"] else "flight"
+    print_table(("what", "value"), list(record.items()), title=title)
+    if fly.out is None:
+        next_line("the same with --out flights, which keeps a log")
+    else:
+        next_line(f"falconwing replay {fly.out}/flight_*.mcap")

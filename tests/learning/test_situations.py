@@ -1,0 +1,113 @@
+"""Situations: what a seed draws stays in its ranges, is repeatable, and is what flies."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from falconwing_kit.aircraft.model import rates_model
+from falconwing_kit.control.guidance import Hall
+from falconwing_kit.learning.situations import (
+    KEPT,
+    NOMINAL,
+    SPREAD_RANGES,
+    draw_delivery,
+    draw_situation,
+    gusty_wind,
+)
+
+MOUNT = np.array([0.2, 0.0, 0.0])
+
+
+def landing(seed, ranges=SPREAD_RANGES):
+    return draw_situation("landing", seed, ranges, MOUNT)
+
+
+def test_the_nominal_situation_is_the_kits_aircraft_in_still_air():
+    """Every value, the camera on the nose along it, and each frame at once."""
+    situation, kit = landing(3, NOMINAL), rates_model()
+    assert {name: situation.model.values[name] for name in kit.values} == pytest.approx(kit.values)
+    assert [situation.model.values[name] for name in ("mean_wind_x", "mean_wind_y")] == [0.0, 0.0]
+    assert situation.delay == 0.05
+    # camera axes in body axes: right wing, belly, nose [DESIGN, conventions]
+    expected = np.eye(4)
+    expected[:3, :3], expected[:3, 3] = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]]), MOUNT
+    assert situation.T_body_camera == pytest.approx(expected, abs=1e-12)
+    assert np.array_equal(situation.newest, np.arange(len(situation.newest)))
+    assert not situation.black.any()
+
+
+def test_draws_stay_in_their_ranges_and_fill_them():
+    """Over 200 flights, of which four have one aircraft."""
+    situations = [landing(seed) for seed in range(200)]
+    kit = rates_model().values
+    shares = np.array(
+        [
+            [
+                s.model.values[name] / kit[name] - 1.0
+                for name in kit
+                if name not in KEPT and kit[name]
+            ]
+            for s in situations
+        ]
+    )
+    assert np.abs(shares).max() <= 0.25 + 1e-9
+    assert np.abs(shares).max(axis=0).min() > 0.15
+    winds = [math.hypot(s.model.values["mean_wind_x"], s.model.values["mean_wind_y"])
+             for s in situations]  # fmt: skip
+    assert 0.8 < max(winds) <= 1.2
+    delays = [s.delay for s in situations]
+    assert 0.0 <= min(delays) < 0.05 and 0.15 < max(delays) <= 0.23
+    mounts = np.array([s.p_body_camera for s in situations])
+    assert mounts[:, 0].min() >= 0.0 and 0.2 < mounts[:, 0].max() <= 0.25
+    places = np.array([s.start.p_world for s in situations])
+    assert Hall().margin(places).min() > 0.5
+    assert len({s.model.values["cL_alpha"] for s in situations}) == 50
+
+
+def test_a_seed_repeats_and_another_does_not():
+    """All of the numbers of a situation."""
+    first, again, other = landing(7), landing(7), landing(8)
+    assert np.array_equal(first.start.vector, again.start.vector)
+    assert np.array_equal(first.newest, again.newest)
+    assert dict(first.model.values) == dict(again.model.values)
+    assert not np.array_equal(first.start.vector, other.start.vector)
+
+
+def test_the_teacher_knows_the_wind_but_not_its_gusts():
+    """Wind of the model that flies minus that of the teacher's, at one time: the gusts alone."""
+    situation = next(s for s in map(landing, range(9)) if s.model.values["gust_x"] > 0.1)
+    mean = [situation.model.values[name] for name in ("mean_wind_x", "mean_wind_y")]
+    known = gusty_wind(0.0, 0.0, 1.0, 0.7, situation.known_model.K)
+    assert known == pytest.approx((*mean, 0.0))
+    flown = gusty_wind(0.0, 0.0, 1.0, 0.7, situation.model.K)
+    assert abs(flown[0] - known[0]) <= situation.model.values["gust_x"]
+    assert flown != pytest.approx(known, abs=1e-3)
+
+
+def test_the_camera_turns_by_its_mount_angle():
+    """Three angles of at most 3 deg: the optical axis leaves the nose by at most 4.3 deg."""
+    ranges = replace(NOMINAL, mount_angle=math.radians(3.0))
+    axes = np.array([landing(seed, ranges).T_body_camera[:3, 2] for seed in range(60)])
+    angles = np.degrees(np.arccos(axes[:, 0]))
+    assert 2.0 < angles.max() < 3.0 * math.sqrt(2.0) + 0.05
+    assert np.std(axes[:, 1]) > 0.01 and np.std(axes[:, 2]) > 0.01
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_delivered_frame_is_never_from_the_future(seed):
+    """Nor older than a delivered one: the newest is kept."""
+    newest, black = draw_delivery(np.random.default_rng(seed), 80, SPREAD_RANGES)
+    assert (newest <= np.arange(80)).all() and (np.diff(newest) >= 0).all()
+    assert black.sum() <= 11
+
+
+def test_a_follower_begins_behind_its_leader():
+    """Between 2 and 6 m, on its course to 10 deg."""
+    situation = draw_situation("follow", 5, SPREAD_RANGES, MOUNT)
+    leader = situation.leader.state_at(0.0)
+    apart = leader.p_world - situation.start.p_world
+    assert 2.0 < np.linalg.norm(apart) < 6.5
+    assert apart @ leader.v_world > 0.9 * np.linalg.norm(apart) * np.linalg.norm(leader.v_world)
+    assert situation.duration == situation.leader.duration
