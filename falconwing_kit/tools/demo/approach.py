@@ -49,6 +49,7 @@ from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, figure, 
 
 PART = Path(__file__).with_name("approach.html.j2")
 FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")
+PORT = "sim-python"  # the simulated board of the approach
 CAMERA_PILOT, TRAINED_SCENES = "student", ("hall", "hall_analog")
 PAD_BLUE = "#3d6fd6"
 STRIP_IMAGES = 6  # images in the strip
@@ -106,7 +107,7 @@ def fly_approach(
     try:
         with ExitStack() as stack:
             writer = stack.enter_context(FlightLogWriter(partial))
-            writer.metadata(flight_metadata(task, trial, scene=scene_name, pilot=name))
+            writer.metadata(flight_metadata(task, trial, scene=scene_name, pilot=name, port=PORT))
             board = stack.enter_context(closing(PythonBoard()))
             world = stack.enter_context(PortWorld(trial.world, board, on_event=writer.event))
             view = RenderedView(world, scene, camera, task.airframe.p_body_camera, link=link)
