@@ -67,7 +67,10 @@ def _generic_load(variable: str, rotational: bool) -> Effect:
         return (0.0, 0.0, 0.0, *loads) if rotational else (*loads, 0.0, 0.0, 0.0)
 
     name = f"{kind} with {variable}"
-    return Effect(name, f"A {name} that the model lacks.", parameters, loads=evaluate)
+    return Effect(
+        name, f"A {name} that the model lacks.", parameters, loads=evaluate,
+        of_propeller="throttle" in variable,
+    )  # fmt: skip
 
 
 def fir_input_filter(t: Array, commands: Array, K: Any) -> Array:

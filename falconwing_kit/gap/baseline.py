@@ -13,6 +13,7 @@ from falconwing_kit.aircraft.effect import STANDING, Effect, standing_effect
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.model import Model
+from falconwing_kit.aircraft.terms import THRUST_CURVE
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.evidence import (
@@ -128,10 +129,11 @@ def build_nominal_model(
         raise InputError(
             next(w for w in found.warnings if w.startswith(found.reversed_channels[0]))
         )
-    weak = weak_prior(found.model)
+    start = with_thrust_curve(found.model)
+    weak = weak_prior(start)
     noise = find_pose_noise(found.result, found.fitted_windows)
     windows = whiten(found.fitted_windows, noise)
-    result = fit(found.model, windows, found.result.initial_states, prior=weak)
+    result = fit(start, windows, found.result.initial_states, prior=weak)
     if noise.has_discrepancy and (found.held_out or found.train).chi2 > MAX_REDUCED_CHI2:
         progress("other starts")
         noise, windows, result, weak = _fit_from_other_starts(found, noise, result, weak)
@@ -145,6 +147,12 @@ def build_nominal_model(
     _require_description(found, result)
     progress("what chance finds")
     return calibrate_nominal_model(found, noise, result, windows, tried, weak)
+
+
+def with_thrust_curve(model: Model) -> Model:
+    """The model with thrust that also grows with throttle squared, free from zero on."""
+    present = {term.name for term in model.terms}
+    return model if THRUST_CURVE.name in present else model.with_terms(THRUST_CURVE)
 
 
 def _fit_from_other_starts(
@@ -163,7 +171,8 @@ def _fit_from_other_starts(
     white = whiten(found.windows, noise)
     best, best_prior, least = result, weak, np.inf
     for start in (found.model, begun, *extended_models(begun)):
-        prior = weak if start is found.model else weak_prior(start)
+        start = with_thrust_curve(start)
+        prior = weak_prior(start)
         guess = found.windows.initial_guess[:, : start.n_states]
         states, _ = fit_initial_states(start, marginal, guess)
         first = fit(start, marginal, states, prior=prior, iterations=10, tolerance=START_TOLERANCE)

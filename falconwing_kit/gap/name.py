@@ -71,6 +71,7 @@ MAX_REMAINING_SHARE = 0.5  # of the excess: an effect that leaves more is no exp
 NO_EXCESS_SIGMAS = 3.0  # explained chi2 above this, but no excess: nothing new in this flight
 EXCESS_SIGMAS = 6.0  # chi2 above the baseline level by this many standard deviations is not chance
 MAX_EFFECTS = 3  # named together
+MAX_SET_ASIDE = 2  # effects in both flights that may hide another one
 VISIBLE_SIGMAS = 3.0  # standard deviations of the flight's chi2 that a third effect must explain
 # Squared Mahalanobis distance per parameter: three standard deviations each is another aircraft.
 MAX_MAHALANOBIS = 9.0
@@ -131,20 +132,53 @@ def name_effect(
     return _decide(base, windows, before, ranking, prepared, catalogue, progress)
 
 
-def _decide(
+def _set_aside(
     base: NominalModel,
     windows: Windows,
     before: FitResult,
+    ranking: list[EffectCandidate],
+    catalogue: Sequence[Effect],
+    threshold: float,
+    progress: Progress,
+) -> tuple[FitResult, list[EffectCandidate]]:
+    """Put effects that act in the baseline flight too into the nominal model, and rank the others.
+
+    An effect of one size in both flights is a flaw of the nominal model: it is no answer, but it
+    must not hide one either.
+
+    Returns:
+        The fit to the flight with these effects, and the ranking beside them. Their own evidence
+        is that over their presence in both flights.
+    """
+    aside: list[EffectCandidate] = []
+    while len(aside) < MAX_SET_ASIDE and ranking[0].delta_bic > threshold:
+        best = ranking[0]
+        change = _evidence_of_change(base, windows, best)
+        if best.result is None or change >= VERY_STRONG_EVIDENCE:
+            break
+        aside.append(replace(best, delta_bic=min(best.delta_bic, change)))
+        before = best.result
+        names = {candidate.effect.name for candidate in aside}
+        rest = [effect for effect in catalogue if effect.name not in names]
+        ranking = _rank(base, windows, before, rest, progress)
+    return before, sorted([*ranking, *aside], key=lambda c: -c.delta_bic)
+
+
+def _decide(
+    base: NominalModel,
+    windows: Windows,
+    nominal: FitResult,
     ranking: list[EffectCandidate],
     prepared: PreparedTable,
     catalogue: Sequence[Effect],
     progress: Progress,
 ) -> Naming:
-    # Chi2 of the flight above the baseline's, and the standard deviation of that difference.
     threshold = max(VERY_STRONG_EVIDENCE, 3.0 * base.false_alarm_level)
+    before, ranking = _set_aside(base, windows, nominal, ranking, catalogue, threshold, progress)
+    # Chi2 of the flight above the baseline's, and the standard deviation of that difference.
     dof = degrees_of_freedom(windows, before)
     error = base.chi2 * np.sqrt(2.0 / dof + 2.0 / degrees_of_freedom(base.windows, base.result))
-    excess_chi2 = before.cost / dof - base.chi2
+    excess_chi2 = nominal.cost / dof - base.chi2
     chosen: tuple[EffectCandidate, ...] = ()
     verdict: Verdict = "none"
     # Named, or ambiguous where others come within "very strong" of the best.
@@ -159,13 +193,15 @@ def _decide(
             )
             ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
     # No excess over the baseline, no name: the same effect may be in both flights.
-    if chosen and _is_in_both_flights(base, windows, chosen[0]):
+    if chosen and _evidence_of_change(base, windows, chosen[0]) < VERY_STRONG_EVIDENCE:
         verdict, chosen = "none", ()
     # Outside where the chosen effects leave most of the excess, or nothing explains it.
     adding_up = chosen if verdict == "named" else ranking[:1]
     explained_bic = sum(c.delta_bic for c in adding_up)
     explained_chi2 = sum(c.delta_chi2 for c in adding_up) * base.reduced_chi2 / dof
-    remaining_chi2 = excess_chi2 - explained_chi2
+    if not chosen:  # what was set aside is no answer, so the flight as it is has to be judged
+        before = nominal
+    remaining_chi2 = before.cost / dof - base.chi2 - explained_chi2
     if chosen and excess_chi2 <= 0.0 and explained_chi2 > NO_EXCESS_SIGMAS * error:
         # So much would show as an excess over the baseline: the baseline has it too.
         verdict, chosen = "none", ()
@@ -200,16 +236,16 @@ def _decide(
         remaining_chi2,
         generic,
         mahalanobis,
-        before,
+        nominal,
         windows,
         prepared,
     )
 
 
-def _is_in_both_flights(base: NominalModel, windows: Windows, found: EffectCandidate) -> bool:
-    """Whether an effect of one size in both flights explains them as well as one in the second."""
+def _evidence_of_change(base: NominalModel, windows: Windows, found: EffectCandidate) -> float:
+    """Evidence for an effect in the flight alone over the same effect in both flights."""
     change = change_over_baseline(base, windows, found)
-    return change / base.inflation.get(found.effect.name, 1.0) < VERY_STRONG_EVIDENCE
+    return change / base.inflation.get(found.effect.name, 1.0)
 
 
 def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCandidate) -> float:
@@ -217,8 +253,8 @@ def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCand
 
     Both hypotheses are fitted to both flights at once, linearised with the effect as found:
     parameters of the baseline, parameters of the flight, which drift from those by a day's change,
-    and one set of amplitudes, which act in the baseline too or do not. Likelihood ratio of two
-    models of equal size [Wilks 1938].
+    one set of amplitudes, which act in the baseline too or do not, and those of other effects found
+    in the flight. Likelihood ratio of two models of equal size [Wilks 1938].
 
     Args:
         base: the nominal model, with the baseline flight.
@@ -231,23 +267,26 @@ def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCand
     if found.result is None:
         return float("inf")
     amplitudes = [p.name for p in found.effect.amplitudes]
+    mine = {p.name for p in found.effect.parameters}
     names = [base.result.model.names[i] for i in base.result.free]
     with_effect = base.result.model.with_effect(found.effect).with_values(found.values)
     free = tuple(with_effect.names.index(name) for name in (*names, *amplitudes))
     seen = jacobian(with_effect, base.windows, base.result.initial_states, free)
     # With the effect in the baseline flight too, and without; then in the flight.
-    in_both = _linear_problem(*seen, [*names, *amplitudes], names, amplitudes)
-    without = _linear_problem(*base.result.linear, names, names, amplitudes)
     second_free = [found.result.model.names[i] for i in found.result.free]
-    second = _linear_problem(*found.result.linear, second_free, names, amplitudes)
+    others = [name for name in second_free if name not in mine and name not in names]
+    added = [*amplitudes, *others]
+    in_both = _linear_problem(*seen, [*names, *amplitudes], names, added)
+    without = _linear_problem(*base.result.linear, names, names, added)
+    second = _linear_problem(*found.result.linear, second_free, names, added)
     rows, mean = prior_rows(base.result.model, base.result.free, base.weak)
     drift = np.array([max(base.drift.get(name, np.inf), 1e-9) for name in names])
     at_base = np.array([base.result.model.values[name] for name in names])
     apart = np.array([found.result.model.values[name] for name in names]) - at_base
-    scale, F, k = np.sqrt(base.reduced_chi2), len(names), len(amplitudes)
+    scale, F, k = np.sqrt(base.reduced_chi2), len(names), len(added)
     costs = []
     for first in (in_both, without):
-        # Unknowns: change of the baseline's parameters (F), of the flight's (F), of the amplitudes.
+        # Unknowns: change of the baseline's parameters (F), of the flight's (F), of amplitudes (k).
         J = np.vstack(
             [
                 np.insert(first.J, [F] * F, 0.0, axis=1) / scale,
@@ -361,8 +400,15 @@ def _find_further_effect(
     An effect that acts on the same as one of those (a lag beside a delay) would be that error.
     """
     last = chosen[-1].result
-    rest = [e for e in catalogue if all(e.acts_on != c.effect.acts_on for c in chosen)]
-    if last is None or not rest:
+    if last is None:
+        return None
+    rest = [
+        e
+        for e in catalogue
+        if all(e.acts_on != c.effect.acts_on for c in chosen)
+        and not any(p.name in last.model.values for p in e.parameters)
+    ]
+    if not rest:
         return None
     if _scan(base, windows, last, rest, progress)[0].delta_bic < threshold:
         return None
@@ -376,7 +422,10 @@ def _find_further_effect(
         if c.delta_bic > best.delta_bic - VERY_STRONG_EVIDENCE
         and best.effect.name not in c.effect.contains
     ]
-    return best if best.delta_bic > needed and not rivals else None
+    if best.delta_bic <= needed or rivals:
+        return None
+    is_new = _evidence_of_change(base, windows, best) >= VERY_STRONG_EVIDENCE
+    return best if is_new else None
 
 
 def _formula_error(base: NominalModel, found: EffectCandidate, other: Effect) -> float:

@@ -28,8 +28,8 @@ SAME_INTERVAL = 0.2  # intervals within a row or this share of the usual one are
 MIN_ALIKE, MAX_SHORTER = 0.7, 0.02  # shares of the intervals between readings
 # Optional columns; better initial states than any derivative.
 LOGGED_MOTION = ("vx", "vy", "vz", "p", "q", "r")
-# Noise of these over that of the derivatives, above which they are not: 2.5 for ALFA's gyroscopes at
-# 4 Hz, 3.7 and 10 for differences of poses at 10 and 20 Hz.
+# Noise of these over that of the derivatives, above which they are not: 2.5 for gyroscopes of ALFA
+# at 4 Hz, 3.7 and 10 for differences of poses at 10 and 20 Hz.
 MAX_MOTION_NOISE = 3.0
 MIN_NOISE = np.full(6, 1e-3)  # [m, rad]; a smaller estimate is not of measured poses
 
