@@ -11,7 +11,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.effect import STANDING, Effect, standing_effect
 from falconwing_kit.aircraft.effects import CATALOGUE
-from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
+from falconwing_kit.aircraft.generic import GENERIC_EFFECTS, GENERIC_LOADS
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.terms import THRUST_CURVE
 from falconwing_kit.core.checks import Array, InputError
@@ -315,22 +315,19 @@ def _complete_model(
             result, weak, max(1.0, result.cost / degrees_of_freedom(windows, result))
         )
         needed = SELECTION_PENALTY + ADDITION_EVIDENCE
-        scores = sorted(
-            (
-                (
-                    reduced.score(effect).delta_chi2 / max(1.0, reduced.inflation(effect))
-                    - bic_penalty(effect.variant.effect, windows),
-                    k,
-                )
-                for k, effect in enumerate(tried)
-            ),
-            reverse=True,
-        )
-        for gain, k in scores[:ADDITION_TRIALS]:
-            if gain < needed:
-                return result, tried
-            added = _add_to_base(result, windows, reduced.score(tried[k]), weak)
-            inflation = max(1.0, reduced.inflation(tried[k]))
+        enough = []
+        for effect in tried:
+            gain = reduced.score(effect).delta_chi2 / max(1.0, reduced.inflation(effect))
+            gain -= bic_penalty(effect.variant.effect, windows)
+            # Within very strong evidence a form from physics comes before one in proportion to a
+            # variable, which at another mean of that variable would be another load.
+            handicap = VERY_STRONG_EVIDENCE * (effect.variant.effect in GENERIC_LOADS)
+            if gain >= needed:
+                enough.append((gain - handicap, effect))
+        enough.sort(key=lambda pair: -pair[0])
+        for _, effect in enough[:ADDITION_TRIALS]:
+            added = _add_to_base(result, windows, reduced.score(effect), weak)
+            inflation = max(1.0, reduced.inflation(effect))
             if added is not None and (result.cost - added.cost) / inflation > needed:
                 result = added
                 break

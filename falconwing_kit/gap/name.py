@@ -209,20 +209,16 @@ def _decide(
         verdict, chosen = "outside", ()
     elif not chosen and excess_chi2 > EXCESS_SIGMAS * error:
         verdict = "outside"
-    generic = _best_generic(base, windows, before, explained_bic, progress)
+    generic = _best_generic(base, windows, before, adding_up, progress)
     distance_squared, n_prior = _prior_distance(adding_up[-1].result or before, base.prior)
     mahalanobis = distance_squared / n_prior
-    # Evidence above which the generic effect is the better explanation.
-    generic_limit = (
-        explained_bic + max(threshold, GENERIC_MARGIN * explained_bic)
-        if chosen
-        else GENERIC_EVIDENCE
-    )
+    if chosen:
+        margin = max(threshold, GENERIC_MARGIN * explained_bic)
+        is_generic_better = _evidence_over(base, windows, generic, adding_up) > margin
+    else:
+        is_generic_better = generic.delta_bic > GENERIC_EVIDENCE
     # Parameters that moved so far may imitate any effect, unless that is little compared with what
     # the effect itself explains.
-    is_generic_better = generic.delta_bic > generic_limit and (
-        not chosen or generic.delta_chi2 > sum(c.delta_chi2 for c in adding_up)
-    )
     if is_generic_better or (
         mahalanobis > MAX_MAHALANOBIS and distance_squared > FORMULA_ERROR * explained_bic
     ):
@@ -240,6 +236,23 @@ def _decide(
         windows,
         prepared,
     )
+
+
+def _evidence_over(
+    base: NominalModel,
+    windows: Windows,
+    generic: EffectCandidate,
+    named: Sequence[EffectCandidate],
+) -> float:
+    """Evidence for a generic effect over named ones: both explain the same chi2, in one unit.
+
+    Not the difference of their evidence over the nominal model, since the variance factors differ,
+    which say how often each is seen by chance, not which fits better.
+    """
+    gained = generic.delta_chi2 - sum(c.delta_chi2 for c in named)
+    penalty = bic_penalty(generic.effect, windows) + SELECTION_PENALTY
+    penalty -= sum(bic_penalty(c.effect, windows) for c in named)
+    return gained / base.inflation.get(generic.effect.name, 1.0) - penalty
 
 
 def _evidence_of_change(base: NominalModel, windows: Windows, found: EffectCandidate) -> float:
@@ -338,12 +351,14 @@ def _best_generic(
     base: NominalModel,
     windows: Windows,
     before: FitResult,
-    explained_bic: float,
+    named: Sequence[EffectCandidate],
     progress: Progress,
 ) -> EffectCandidate:
     """The generic effect that explains most, fitted in full where it may exceed the named ones."""
     best = _scan(base, windows, before, available_generic_effects(before.model), progress)[0]
-    if best.delta_bic > explained_bic:
+    if best.delta_bic > sum(c.delta_bic for c in named) or best.delta_chi2 > sum(
+        c.delta_chi2 for c in named
+    ):
         best = _fit_effect(base, windows, before, best, progress)
     return replace(best, delta_bic=best.delta_bic - SELECTION_PENALTY)
 
