@@ -280,7 +280,7 @@ def calibrate_nominal_model(
         float(false_alarms[named].max(initial=0.0)),
         float(false_alarms[~named].max(initial=0.0)),
     )
-    prior, drift = _drift_prior(result, windows, weak)
+    prior, drift = drift_prior(result, windows, weak)
     return NominalModel(
         found, noise, result, windows, baseline_chi2, prior, *gains, inflation, drift, weak
     )
@@ -365,7 +365,7 @@ def available_generic_effects(model: Model) -> tuple[Effect, ...]:
     )
 
 
-def _drift_prior(
+def drift_prior(
     result: FitResult, windows: Windows, weak: Prior | None
 ) -> tuple[Prior, dict[str, float]]:
     """Prior for another day: the baseline's covariance, and a percent of drift per coefficient.

@@ -30,7 +30,6 @@ import numpy as np
 
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE
-from falconwing_kit.core.checks import Array
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.baseline import (
     GENERIC_EVIDENCE,
@@ -41,6 +40,7 @@ from falconwing_kit.gap.baseline import (
     available_generic_effects,
     bic_penalty,
     degrees_of_freedom,
+    drift_prior,
 )
 from falconwing_kit.gap.evidence import SchurComplement, effect_variants, sensitivities
 from falconwing_kit.gap.noise import robust_weights, whiten
@@ -52,7 +52,7 @@ from falconwing_kit.sysid.fit import (
     prior_rows,
 )
 from falconwing_kit.sysid.prepare import PreparedTable, prepare
-from falconwing_kit.sysid.shooting import Windows, cut_windows, jacobian
+from falconwing_kit.sysid.shooting import Windows, cut_windows
 from falconwing_kit.sysid.uncertainty import uncertainty
 
 Verdict = Literal["named", "ambiguous", "none", "outside"]
@@ -264,10 +264,10 @@ def _evidence_of_change(base: NominalModel, windows: Windows, found: EffectCandi
 def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCandidate) -> float:
     """Chi2 by which an effect in the flight alone beats the same effect in both flights.
 
-    Both hypotheses are fitted to both flights at once, linearised with the effect as found:
-    parameters of the baseline, parameters of the flight, which drift from those by a day's change,
-    one set of amplitudes, which act in the baseline too or do not, and those of other effects found
-    in the flight. Likelihood ratio of two models of equal size [Wilks 1938].
+    With the effect in both, the baseline flight is fitted anew, all parameters of the aircraft free
+    and the effect's own near those that the flight has, to their standard deviation; then the
+    flight, with the effect as it came out, under the prior of that aircraft on another day.
+    Likelihood ratio of two models of equal size [Wilks 1938].
 
     Args:
         base: the nominal model, with the baseline flight.
@@ -279,72 +279,32 @@ def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCand
     """
     if found.result is None:
         return float("inf")
+    mine = [p.name for p in found.effect.parameters]
     amplitudes = [p.name for p in found.effect.amplitudes]
-    mine = {p.name for p in found.effect.parameters}
-    names = [base.result.model.names[i] for i in base.result.free]
-    with_effect = base.result.model.with_effect(found.effect).with_values(found.values)
-    free = tuple(with_effect.names.index(name) for name in (*names, *amplitudes))
-    seen = jacobian(with_effect, base.windows, base.result.initial_states, free)
-    # With the effect in the baseline flight too, and without; then in the flight.
-    second_free = [found.result.model.names[i] for i in found.result.free]
-    others = [name for name in second_free if name not in mine and name not in names]
-    added = [*amplitudes, *others]
-    in_both = _linear_problem(*seen, [*names, *amplitudes], names, added)
-    without = _linear_problem(*base.result.linear, names, names, added)
-    second = _linear_problem(*found.result.linear, second_free, names, added)
-    rows, mean = prior_rows(base.result.model, base.result.free, base.weak)
-    drift = np.array([max(base.drift.get(name, np.inf), 1e-9) for name in names])
-    at_base = np.array([base.result.model.values[name] for name in names])
-    apart = np.array([found.result.model.values[name] for name in names]) - at_base
-    scale, F, k = np.sqrt(base.reduced_chi2), len(names), len(added)
-    costs = []
-    for first in (in_both, without):
-        # Unknowns: change of the baseline's parameters (F), of the flight's (F), of amplitudes (k).
-        J = np.vstack(
-            [
-                np.insert(first.J, [F] * F, 0.0, axis=1) / scale,
-                np.insert(second.J, [0] * F, 0.0, axis=1) / scale,
-                np.hstack([rows, np.zeros((F, F + k))]),
-                np.hstack([-np.diag(1.0 / drift), np.diag(1.0 / drift), np.zeros((F, k))]),
-            ]
-        )
-        poses = np.concatenate([first.residual, second.residual]) / scale
-        residual = np.concatenate([poses, rows @ (at_base - mean), apart / drift])
-        unit = np.maximum(np.linalg.norm(J, axis=0), 1e-30)
-        step, *_ = np.linalg.lstsq(J / unit, -residual, rcond=1e-9)
-        costs.append(float(np.sum((residual + (J / unit) @ step) ** 2)))
-    return costs[0] - costs[1]
-
-
-@dataclass(frozen=True)
-class _LinearProblem:
-    """Residual (M,) and derivatives (M, F + k) outside the span of the initial states."""
-
-    J: Array
-    residual: Array
-
-
-def _linear_problem(
-    residual: Array,
-    of_parameters: Array,
-    of_states: Array,
-    free: Sequence[str],
-    names: Sequence[str],
-    amplitudes: Sequence[str],
-) -> _LinearProblem:
-    """From a linearisation with derivatives to `free`, in the order of names and amplitudes.
-
-    Columns of zeros for those that are not among them.
-    """
-    Q = np.linalg.qr(np.nan_to_num(of_states, posinf=0.0, neginf=0.0))[0]
-    joined = np.concatenate([of_parameters, residual[..., None]], axis=2)
-    joined = np.nan_to_num(joined, posinf=0.0, neginf=0.0)  # of a prediction that diverged
-    joined = (joined - Q @ (Q.transpose(0, 2, 1) @ joined)).reshape(-1, joined.shape[2])
-    J = np.zeros((len(joined), len(names) + len(amplitudes)))
-    for column, name in enumerate((*names, *amplitudes)):
-        if name in free:
-            J[:, column] = joined[:, list(free).index(name)]
-    return _LinearProblem(J, joined[:, -1])
+    sigma = uncertainty(found.result, windows, base.prior).sigma
+    near = {name: max(sigma.get(name, 0.0), 1e-9) for name in amplitudes}
+    weak = base.weak or Prior({}, {})
+    both = Prior({**weak.mean, **found.values}, {**weak.sigma, **near})
+    model = base.result.model.with_effect(found.effect).with_values(found.values)
+    first = fit(
+        model.with_fixed(found.effect.shape), base.windows, base.result.initial_states,
+        prior=both, iterations=15,
+    )  # fmt: skip
+    values = {name: first.model.values[name] for name in model.names}
+    pull = sum(((values[n] - found.values[n]) / s) ** 2 for n, s in near.items())
+    # The aircraft's parameters alone, for this size of the effect.
+    of_aircraft = [k for k, i in enumerate(first.free) if model.names[i] not in mine]
+    conditional = replace(
+        first, free=tuple(first.free[k] for k in of_aircraft),
+        parameter_jacobian=first.parameter_jacobian[..., of_aircraft],
+    )  # fmt: skip
+    prior, _ = drift_prior(conditional, base.windows, weak)
+    second = fit(
+        found.result.model.with_values(values).with_fixed(mine), windows,
+        found.result.initial_states, prior=prior, iterations=15,
+    )  # fmt: skip
+    in_both = first.cost - pull + second.cost
+    return (in_both - base.result.cost - found.result.cost) / base.reduced_chi2
 
 
 def _best_generic(
