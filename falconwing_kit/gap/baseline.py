@@ -150,9 +150,15 @@ def build_nominal_model(
 
 
 def with_thrust_curve(model: Model) -> Model:
-    """The model with thrust that also grows with throttle squared, free from zero on."""
+    """The model with thrust that also grows with throttle squared, free from zero on.
+
+    The model as it is where it has that already, or where a part of its thrust is fixed.
+    """
+    fixed = {p.name for p in model.parameters if p.high <= p.low}
     present = {term.name for term in model.terms}
-    return model if THRUST_CURVE.name in present else model.with_terms(THRUST_CURVE)
+    if THRUST_CURVE.name in present or fixed & {"kT", "kTV"}:
+        return model
+    return model.with_terms(THRUST_CURVE)
 
 
 def _fit_from_other_starts(
