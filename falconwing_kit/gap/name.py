@@ -140,28 +140,30 @@ def _set_aside(
     catalogue: Sequence[Effect],
     threshold: float,
     progress: Progress,
-) -> tuple[FitResult, list[EffectCandidate]]:
+) -> tuple[FitResult, list[EffectCandidate], EffectCandidate | None]:
     """Put effects that act in the baseline flight too into the nominal model, and rank the others.
 
     An effect of one size in both flights is a flaw of the nominal model: it is no answer, but it
     must not hide one either.
 
     Returns:
-        The fit to the flight with these effects, and the ranking beside them. Their own evidence
-        is that over their presence in both flights.
+        The fit to the flight with these effects, the ranking beside them, and the one of it that is
+        new in this flight, if any. Their own evidence is that over their presence in both flights.
     """
     aside: list[EffectCandidate] = []
+    new = None
     while len(aside) < MAX_SET_ASIDE and ranking[0].delta_bic > threshold:
         best = ranking[0]
         change = _evidence_of_change(base, windows, best)
         if best.result is None or change >= VERY_STRONG_EVIDENCE:
+            new = best
             break
         aside.append(replace(best, delta_bic=min(best.delta_bic, change)))
         before = best.result
         names = {candidate.effect.name for candidate in aside}
         rest = [effect for effect in catalogue if effect.name not in names]
         ranking = _rank(base, windows, before, rest, progress)
-    return before, sorted([*ranking, *aside], key=lambda c: -c.delta_bic)
+    return before, sorted([*ranking, *aside], key=lambda c: -c.delta_bic), new
 
 
 def _decide(
@@ -174,7 +176,9 @@ def _decide(
     progress: Progress,
 ) -> Naming:
     threshold = max(VERY_STRONG_EVIDENCE, 3.0 * base.false_alarm_level)
-    before, ranking = _set_aside(base, windows, nominal, ranking, catalogue, threshold, progress)
+    before, ranking, new = _set_aside(
+        base, windows, nominal, ranking, catalogue, threshold, progress
+    )
     # Chi2 of the flight above the baseline's, and the standard deviation of that difference.
     dof = degrees_of_freedom(windows, before)
     error = base.chi2 * np.sqrt(2.0 / dof + 2.0 / degrees_of_freedom(base.windows, base.result))
@@ -193,7 +197,11 @@ def _decide(
             )
             ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
     # No excess over the baseline, no name: the same effect may be in both flights.
-    if chosen and _evidence_of_change(base, windows, chosen[0]) < VERY_STRONG_EVIDENCE:
+    if (
+        chosen
+        and chosen[0] is not new
+        and _evidence_of_change(base, windows, chosen[0]) < VERY_STRONG_EVIDENCE
+    ):
         verdict, chosen = "none", ()
     # Outside where the chosen effects leave most of the excess, or nothing explains it.
     adding_up = chosen if verdict == "named" else ranking[:1]
