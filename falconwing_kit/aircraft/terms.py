@@ -135,11 +135,6 @@ def add_loads(a, b):
     return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
 
 
-def scale_loads(share, a):
-    """Loads times a share."""
-    return share * a[0], share * a[1], share * a[2], share * a[3], share * a[4], share * a[5]
-
-
 def sum_loads(functions: Sequence[Callable[[Flow, Any], Loads]]) -> Callable[[Flow, Any], Loads]:
     """One function that adds the loads of several, pairwise, so that it also compiles."""
     first, *others = functions
@@ -156,6 +151,21 @@ def sum_loads(functions: Sequence[Callable[[Flow, Any], Loads]]) -> Callable[[Fl
 def propeller_loads(terms: Sequence[Term]) -> Callable[[Flow, Any], Loads]:
     """What the propeller gives among these terms; its force along the nose is the thrust T/m."""
     return sum_loads([term.evaluate for term in terms if term.of_propeller])
+
+
+def propeller_share(terms: Sequence[Term]) -> Callable[[Any, Flow, Any], Loads]:
+    """The same times a share, as (share, air, K) -> loads; thrust alone has no other components."""
+    loads = propeller_loads(terms)
+
+    def of_thrust(share, air, K):
+        return share * loads(air, K)[0], 0.0, 0.0, 0.0, 0.0, 0.0
+
+    def of_all(share, air, K):
+        a = loads(air, K)
+        return share * a[0], share * a[1], share * a[2], share * a[3], share * a[4], share * a[5]
+
+    names = {term.name for term in terms if term.of_propeller}
+    return of_thrust if names <= {"thrust", THRUST_CURVE.name} else of_all
 
 
 # Forces

@@ -4,16 +4,16 @@ from functools import cache
 from typing import Any
 
 from falconwing_kit.aircraft.effect import Effect, LoadsFunction, draw_size
-from falconwing_kit.aircraft.terms import Flow, Loads, Parameter, Term, propeller_loads, scale_loads
+from falconwing_kit.aircraft.terms import Flow, Loads, Parameter, Term, propeller_share
 
 
 @cache  # one function per tuple of terms: a model with it is compiled and looked up once
 def thrust_loss(terms: tuple[Term, ...]) -> LoadsFunction:
     """Thrust times (1 - thrust_lost), and so all that the propeller gives among these terms."""
-    loads = propeller_loads(terms)
+    share_of = propeller_share(terms)
 
     def lost(air: Flow, K: Any) -> Loads:
-        return scale_loads(-K.thrust_lost, loads(air, K))
+        return share_of(-K.thrust_lost, air, K)
 
     return lost
 
@@ -24,10 +24,10 @@ def battery_sag(terms: tuple[Term, ...]) -> LoadsFunction:
 
     t is the time since the start of the flight.
     """
-    loads = propeller_loads(terms)
+    share_of = propeller_share(terms)
 
     def lost(air: Flow, K: Any) -> Loads:
-        return scale_loads(-K.sag * air.time / 60.0, loads(air, K))
+        return share_of(-K.sag * air.time / 60.0, air, K)
 
     return lost
 
