@@ -56,6 +56,7 @@ class Effect:
     contains: tuple[str, ...] = ()  # effects that it becomes at some values; they are no rivals
     essential: tuple[str, ...] = ()  # parameters without which it is one of those, or no effect
     gradual: bool = False  # grows from the start of the flight, so it has no onset
+    of_propeller: bool = False  # a load that the propeller gives, less of which it gives when weak
     acts_on: tuple[str, ...] = ()  # what it changes; two that share one may be formula errors
     place: tuple[str, str] | None = None  # parameters of its place, world x and y
     same_form: tuple[str, ...] = ()  # sparse terms (`sparse.py`) of its form, for one parameter
@@ -91,7 +92,9 @@ class Effect:
     def term(self, own: tuple[Term, ...] = ()) -> Term | None:
         """The term it adds to a model with these terms, or None where it adds none."""
         loads = self.loads_of(own) if self.loads_of else self.loads
-        return None if loads is None else Term(self.name, self.parameters, loads)
+        if loads is None:
+            return None
+        return Term(self.name, self.parameters, loads, self.of_propeller)
 
     @property
     def wind_term(self) -> WindTerm | None:

@@ -5,12 +5,13 @@ better than every named effect, no name is given.
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.effect import Effect
-from falconwing_kit.aircraft.terms import ATTITUDE_HOLD, Parameter
+from falconwing_kit.aircraft.effect import Effect, LoadsFunction
+from falconwing_kit.aircraft.terms import ATTITUDE_HOLD, Parameter, Term, propeller_loads
 from falconwing_kit.core.checks import Array
 
 HEIGHT_SCALE_M = 0.5  # decay with height, about the span of a 150 g aircraft
@@ -67,7 +68,30 @@ def _generic_load(variable: str, rotational: bool) -> Effect:
         return (0.0, 0.0, 0.0, *loads) if rotational else (*loads, 0.0, 0.0, 0.0)
 
     name = f"{kind} with {variable}"
-    return Effect(name, f"A {name} that the model lacks.", parameters, loads=evaluate)
+    return Effect(
+        name, f"A {name} that the model lacks.", parameters, loads=evaluate,
+        of_propeller="throttle" in variable,
+    )  # fmt: skip
+
+
+_MOMENT_WITH_THRUST = tuple(
+    Parameter(
+        f"moment_thrust_{axis}", 0.02, -100.0, 100.0, "1/m", f"thrust turns about body {axis}"
+    )
+    for axis in "xyz"
+)
+
+
+@cache  # one function per tuple of terms: a model with it is compiled and looked up once
+def _moment_with_thrust(terms: tuple[Term, ...]) -> LoadsFunction:
+    """Moments in proportion to the model's own thrust: torque, thrust line, wash of a propeller."""
+    propeller = propeller_loads(terms)
+
+    def evaluate(air: Any, K: Any) -> tuple[Any, ...]:
+        T = propeller(air, K)[0]
+        return 0.0, 0.0, 0.0, K.moment_thrust_x * T, K.moment_thrust_y * T, K.moment_thrust_z * T
+
+    return evaluate
 
 
 def fir_input_filter(t: Array, commands: Array, K: Any) -> Array:
@@ -90,8 +114,14 @@ INPUT_FILTER = Effect(
 GENERIC_LOADS: tuple[Effect, ...] = tuple(
     _generic_load(variable, rotational) for variable in REGRESSORS for rotational in (False, True)
 )
+MOMENT_WITH_THRUST = Effect(
+    "moment with thrust", "A moment with thrust that the model lacks.", _MOMENT_WITH_THRUST,
+    loads_of=_moment_with_thrust, of_propeller=True,
+)  # fmt: skip
 STABILISER = Effect(
     "attitude hold", "A stabiliser on board moves the control surfaces against bank and pitch.",
     ATTITUDE_HOLD.parameters, loads=ATTITUDE_HOLD.evaluate,
 )  # fmt: skip
-GENERIC_EFFECTS: tuple[Effect, ...] = (*GENERIC_LOADS, STABILISER, INPUT_FILTER)
+GENERIC_EFFECTS: tuple[Effect, ...] = (
+    *GENERIC_LOADS, MOMENT_WITH_THRUST, STABILISER, INPUT_FILTER,
+)  # fmt: skip

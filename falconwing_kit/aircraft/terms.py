@@ -81,6 +81,7 @@ class Term:
     name: str
     parameters: tuple[Parameter, ...]
     evaluate: Callable[[Flow, Any], Loads]
+    of_propeller: bool = False  # a load that the propeller gives: thrust, its torque, its wash
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,26 @@ def sum_loads(functions: Sequence[Callable[[Flow, Any], Loads]]) -> Callable[[Fl
     return total
 
 
+def propeller_loads(terms: Sequence[Term]) -> Callable[[Flow, Any], Loads]:
+    """What the propeller gives among these terms; its force along the nose is the thrust T/m."""
+    return sum_loads([term.evaluate for term in terms if term.of_propeller])
+
+
+def propeller_share(terms: Sequence[Term]) -> Callable[[Any, Flow, Any], Loads]:
+    """The same times a share, as (share, air, K) -> loads; thrust alone has no other components."""
+    loads = propeller_loads(terms)
+
+    def of_thrust(share, air, K):
+        return share * loads(air, K)[0], 0.0, 0.0, 0.0, 0.0, 0.0
+
+    def of_all(share, air, K):
+        a = loads(air, K)
+        return share * a[0], share * a[1], share * a[2], share * a[3], share * a[4], share * a[5]
+
+    names = {term.name for term in terms if term.of_propeller}
+    return of_thrust if names <= {"thrust", THRUST_CURVE.name} else of_all
+
+
 # Forces
 
 
@@ -183,6 +204,15 @@ def side_force(air, K):
 def thrust(air, K):
     """Along the nose: T/m = (kT - kTV V) throttle [Beard & McLain, eq. 4.18, linearised]."""
     return (K.kT - K.kTV * air.airspeed) * air.throttle, 0.0, 0.0, 0.0, 0.0, 0.0
+
+
+def thrust_curve(air, K):
+    """Along the nose: T/m grows by kTT throttle^2 beyond its linear part [Beard & McLain, 4.13].
+
+    Without it a fit takes the slope at the usual throttle for thrust per throttle: thrust and drag
+    come out too large together, by a factor of up to two, and a share of the thrust too small.
+    """
+    return K.kTT * air.throttle * air.throttle, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 # Moments of the 12-state model
@@ -294,6 +324,9 @@ _THRUST = (
     Parameter("kT", 9.0, 0.0, 60.0, "m/s^2", "thrust at full throttle, standing"),
     Parameter("kTV", 0.5, -2.0, 8.0, "1/s", "thrust lost with speed"),
 )
+_THRUST_CURVE = (
+    Parameter("kTT", 0.0, -60.0, 60.0, "m/s^2", "thrust that grows with throttle squared"),
+)
 _ROLL = (
     Parameter("L_0", 0.0, -1.0, 1.0, "1/m^2", "rolling moment at zero angles"),
     Parameter("L_da", 0.75, 0.0, 10.0, "1/m^2", "rolling moment of full aileron"),
@@ -351,7 +384,7 @@ FORCES = (
     Term("lift", _LIFT, lift),
     Term("drag", _DRAG + _SIDESLIP_DRAG, drag),
     Term("side_force", _SIDE, side_force),
-    Term("thrust", _THRUST, thrust),
+    Term("thrust", _THRUST, thrust, of_propeller=True),
 )
 MOMENTS = (
     Term("roll_moment", _ROLL, roll_moment),
@@ -366,6 +399,7 @@ UNBOUNDED_GYROSCOPIC = Term(
     tuple(replace(p, low=-20.0, high=20.0) for p in _GYROSCOPIC),
     gyroscopic_moment,
 )
+THRUST_CURVE = Term("thrust_curve", _THRUST_CURVE, thrust_curve, of_propeller=True)
 CROSS_MOMENTS = Term("cross_moments", _CROSS_MOMENTS, cross_moments)
 ATTITUDE_HOLD = Term("attitude_hold", _ATTITUDE_HOLD, attitude_hold)
 UNIFORM_WIND = WindTerm("uniform_wind", WIND_PARAMETERS, uniform_wind)

@@ -11,8 +11,9 @@ import numpy as np
 
 from falconwing_kit.aircraft.effect import STANDING, Effect, standing_effect
 from falconwing_kit.aircraft.effects import CATALOGUE
-from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
+from falconwing_kit.aircraft.generic import GENERIC_EFFECTS, GENERIC_LOADS
 from falconwing_kit.aircraft.model import Model
+from falconwing_kit.aircraft.terms import THRUST_CURVE
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.evidence import (
@@ -138,10 +139,11 @@ def build_nominal_model(
         raise InputError(
             next(w for w in found.warnings if w.startswith(found.reversed_channels[0]))
         )
-    weak = weak_prior(found.model)
+    start = with_thrust_curve(found.model)
+    weak = weak_prior(start)
     noise = find_pose_noise(found.result, found.fitted_windows)
     windows = whiten(found.fitted_windows, noise)
-    result = fit(found.model, windows, found.result.initial_states, prior=weak)
+    result = fit(start, windows, found.result.initial_states, prior=weak)
     if noise.has_discrepancy and (found.held_out or found.train).chi2 > MAX_REDUCED_CHI2:
         progress("other starts")
         noise, windows, result, weak = _fit_from_other_starts(found, noise, result, weak)
@@ -155,6 +157,18 @@ def build_nominal_model(
     _require_description(found, result)
     progress("what chance finds")
     return calibrate_nominal_model(found, noise, result, windows, tried, weak)
+
+
+def with_thrust_curve(model: Model) -> Model:
+    """The model with thrust that also grows with throttle squared, free from zero on.
+
+    The model as it is where it has that already, or where a part of its thrust is fixed.
+    """
+    fixed = {p.name for p in model.parameters if p.high <= p.low}
+    present = {term.name for term in model.terms}
+    if THRUST_CURVE.name in present or fixed & {"kT", "kTV"}:
+        return model
+    return model.with_terms(THRUST_CURVE)
 
 
 def _fit_from_other_starts(
@@ -173,7 +187,8 @@ def _fit_from_other_starts(
     white = whiten(found.windows, noise)
     best, best_prior, least = result, weak, np.inf
     for start in (found.model, begun, *extended_models(begun)):
-        prior = weak if start is found.model else weak_prior(start)
+        start = with_thrust_curve(start)
+        prior = weak_prior(start)
         guess = found.windows.initial_guess[:, : start.n_states]
         states, _ = fit_initial_states(start, marginal, guess)
         first = fit(start, marginal, states, prior=prior, iterations=10, tolerance=START_TOLERANCE)
@@ -281,7 +296,7 @@ def calibrate_nominal_model(
         float(false_alarms[named].max(initial=0.0)),
         float(false_alarms[~named].max(initial=0.0)),
     )
-    prior, drift, factor = _drift_prior(result, windows, weak)
+    prior, drift, factor = drift_prior(result, windows, weak)
     return NominalModel(
         found, noise, result, windows, baseline_chi2, prior, *gains, inflation, drift, weak, factor
     )
@@ -316,22 +331,19 @@ def _complete_model(
             result, weak, max(1.0, result.cost / degrees_of_freedom(windows, result))
         )
         needed = SELECTION_PENALTY + ADDITION_EVIDENCE
-        scores = sorted(
-            (
-                (
-                    reduced.score(effect).delta_chi2 / max(1.0, reduced.inflation(effect))
-                    - bic_penalty(effect.variant.effect, windows),
-                    k,
-                )
-                for k, effect in enumerate(tried)
-            ),
-            reverse=True,
-        )
-        for gain, k in scores[:ADDITION_TRIALS]:
-            if gain < needed:
-                return result, tried
-            added = _add_to_base(result, windows, reduced.score(tried[k]), weak)
-            inflation = max(1.0, reduced.inflation(tried[k]))
+        enough = []
+        for effect in tried:
+            gain = reduced.score(effect).delta_chi2 / max(1.0, reduced.inflation(effect))
+            gain -= bic_penalty(effect.variant.effect, windows)
+            # Within very strong evidence a form from physics comes before one in proportion to a
+            # variable, which at another mean of that variable would be another load.
+            handicap = VERY_STRONG_EVIDENCE * (effect.variant.effect in GENERIC_LOADS)
+            if gain >= needed:
+                enough.append((gain - handicap, effect))
+        enough.sort(key=lambda pair: -pair[0])
+        for _, effect in enough[:ADDITION_TRIALS]:
+            added = _add_to_base(result, windows, reduced.score(effect), weak)
+            inflation = max(1.0, reduced.inflation(effect))
             if added is not None and (result.cost - added.cost) / inflation > needed:
                 result = added
                 break
@@ -369,7 +381,7 @@ def available_generic_effects(model: Model) -> tuple[Effect, ...]:
     )
 
 
-def _drift_prior(
+def drift_prior(
     result: FitResult, windows: Windows, weak: Prior | None
 ) -> tuple[Prior, dict[str, float], float]:
     """Prior for another day: the baseline's covariance, and a percent of drift per coefficient.

@@ -26,6 +26,7 @@ from falconwing_kit.gap.evidence import (
     SchurComplement,
     sensitivities,
 )
+from falconwing_kit.gap.linear_response import linear_response
 from falconwing_kit.gap.name import EffectCandidate, Naming, name_effect
 from falconwing_kit.sysid.fit import FitResult, fit, prior_rows
 from falconwing_kit.sysid.score import BLOCK_S, PredictionScore, score, select_windows, split_blocks
@@ -207,7 +208,7 @@ def name_with_onset(
     if naming.verdict == "none":
         return naming, None
     progress("since when")
-    tried = naming.ranking[:ONSET_CANDIDATES]
+    tried = _onset_candidates(base, naming)
     onset = find_onset(base, naming.windows, naming.before, tried)
     if onset is not None:
         onset = find_course(base, naming.windows, naming.before, tried, onset)
@@ -232,6 +233,20 @@ def name_with_onset(
         if onset is not None:
             onset = find_course(base, naming.windows, naming.before, again.chosen[:1], onset)
     return again, onset
+
+
+def _onset_candidates(base: NominalModel, naming: Naming) -> list[EffectCandidate]:
+    """The effects that explain most with one onset, by linear evidence.
+
+    Not those that explain most all along: the parameters may take up half of an effect there.
+    """
+    windows, before = _join_segments(base, naming.windows, naming.before)
+    if len(windows) < 4:
+        return list(naming.ranking[:ONSET_CANDIDATES])
+    steps = _scan_courses(base, windows, before, naming.ranking, ("step",)).get("step", [])
+    best = sorted(steps, key=lambda c: -c.delta_bic)[:ONSET_CANDIDATES]
+    by_name = {c.effect.name: c for c in naming.ranking}
+    return [by_name[c.effect.name] for c in best]
 
 
 def _time_in_effect(flight: FlightTable, onset: Onset) -> FlightTable:
@@ -345,23 +360,23 @@ def _scan_onsets(
         windows.nodes[0, 0],
         windows.nodes[-1, -1],
     )
-    best: EffectCandidate | None = None
+    tried = []
     for known in found:
-        effect = known.effect
-        if not effect.has_onset:
-            continue
-        gated = with_onset(effect, float(first), float(last))
-        usual = {
-            p.name: known.values[p.name] if p.name in effect.shape else p.start
-            for p in effect.parameters
-        }
-        tried = [EffectVariant(gated, {**usual, ONSET: float(t)}) for t in windows.nodes[1:, 0]]
-        for score_ in map(
-            reduced.score, sensitivities(before.model, windows, before.initial_states, tried)
-        ):
-            delta_bic = score_.delta_chi2 - len(gated.parameters) * float(np.log(windows.count))
-            if best is None or delta_bic > best.delta_bic:
-                best = EffectCandidate(gated, delta_bic, score_.delta_chi2, score_.values, None)
+        if known.effect.has_onset:
+            gated = with_onset(known.effect, float(first), float(last))
+            shape = {name: known.values[name] for name in known.effect.shape}
+            usual = {p.name: p.start for p in known.effect.parameters} | shape
+            tried += [
+                EffectVariant(gated, {**usual, ONSET: float(t)}) for t in windows.nodes[1:, 0]
+            ]
+    best: EffectCandidate | None = None
+    price = float(np.log(windows.count))
+    response = linear_response(before.model, windows, before.initial_states)
+    for seen in response.sensitivities(tried):  # one after the other, since they are many
+        scored, gated = reduced.score(seen), seen.variant.effect
+        delta_bic = scored.delta_chi2 - len(gated.parameters) * price
+        if best is None or delta_bic > best.delta_bic:
+            best = EffectCandidate(gated, delta_bic, scored.delta_chi2, scored.values, None)
     return best
 
 
@@ -388,7 +403,10 @@ def find_course(
     windows, before = _join_segments(base, windows, before)
     if len(windows) < 4:
         return onset
-    scanned = _scan_courses(base, windows, before, found)
+    scanned = {
+        course: max(of_effects, key=lambda c: c.delta_bic)
+        for course, of_effects in _scan_courses(base, windows, before, found).items()
+    }
     step = scanned.pop("step", None)
     if step is None or not scanned:
         return onset
@@ -400,9 +418,13 @@ def find_course(
 
 
 def _scan_courses(
-    base: NominalModel, windows: Windows, before: FitResult, found: Sequence[EffectCandidate]
-) -> dict[Course, EffectCandidate]:
-    """The best step, on-off and ramp of any effect by linear evidence; those that fit in.
+    base: NominalModel,
+    windows: Windows,
+    before: FitResult,
+    found: Sequence[EffectCandidate],
+    courses: Sequence[Course] = ("step", "on-off", "ramp"),
+) -> dict[Course, list[EffectCandidate]]:
+    """The best step, on-off and ramp of each effect by linear evidence; those that fit in.
 
     An effect that is on in some windows alone, or in each by a share g_w, has the sensitivity
     g_w E_w, so all sums of the score test are weighted sums over the windows.
@@ -432,26 +454,23 @@ def _scan_courses(
             for i, j in pairs["ramp"]
         ],
     }
-    best: dict[Course, EffectCandidate] = {}
+    best: dict[Course, list[EffectCandidate]] = {}
+    tried = []
     for known in found:
-        effect = known.effect
-        if not effect.has_onset:
-            continue
-        usual = {
-            p.name: known.values[p.name] if p.name in effect.shape else p.start
-            for p in effect.parameters
-        }
-        (whole,) = sensitivities(
-            before.model, windows, before.initial_states, [EffectVariant(effect, usual)]
-        )
+        shape = {name: known.values[name] for name in known.effect.shape}
+        usual = {p.name: p.start for p in known.effect.parameters} | shape
+        if known.effect.has_onset:
+            tried.append(EffectVariant(known.effect, usual))
+    for whole in sensitivities(before.model, windows, before.initial_states, tried):
+        effect, usual = whole.variant.effect, whole.variant.values
         E = whole.derivative - reduced.Q @ (reduced.Q.transpose(0, 2, 1) @ whole.derivative)
         B = np.einsum("wif,wik->wfk", K, E, optimize=True)
         D = np.einsum("wik,wil->wkl", E, E, optimize=True)
         pull = np.einsum("wik,wi->wk", E, reduced.residual, optimize=True)
-        for course, of_pairs in shares.items():
-            if not of_pairs:
+        for course in courses:
+            if not shares[course]:
                 continue
-            share = np.stack(of_pairs)  # (P, W)
+            share = np.stack(shares[course])  # (P, W)
             B_g, D_g = np.tensordot(share, B, 1), np.tensordot(share**2, D, 1)
             pull_g = share @ pull
             S = D_g - np.einsum("pfk,pfl->pkl", B_g, np.linalg.solve(A, B_g), optimize=True)
@@ -462,15 +481,15 @@ def _scan_courses(
             top = int(np.argmax(delta_chi2))
             times = 1 if course == "step" else 2
             delta_bic = float(delta_chi2[top]) - (len(effect.parameters) + times) * price
-            if course in best and best[course].delta_bic >= delta_bic:
-                continue
             i, j = pairs[course][top]
             names = [p.name for p in effect.amplitudes]
             values = {**usual, **dict(zip(names, step[top].tolist(), strict=True))}
             values[ONSET] = float(starts[i])
             if course in END:
                 values[END[course]] = float(starts[j])
-            best[course] = EffectCandidate(effect, delta_bic, float(delta_chi2[top]), values, None)
+            found_chi2 = float(delta_chi2[top])
+            candidate = EffectCandidate(effect, delta_bic, found_chi2, values, None)
+            best.setdefault(course, []).append(candidate)
     return best
 
 

@@ -30,7 +30,6 @@ import numpy as np
 
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE
-from falconwing_kit.core.checks import Array
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.baseline import (
     GENERIC_EVIDENCE,
@@ -41,6 +40,7 @@ from falconwing_kit.gap.baseline import (
     available_generic_effects,
     bic_penalty,
     degrees_of_freedom,
+    drift_prior,
 )
 from falconwing_kit.gap.evidence import SchurComplement, effect_variants, sensitivities
 from falconwing_kit.gap.noise import robust_weights, whiten
@@ -52,7 +52,7 @@ from falconwing_kit.sysid.fit import (
     prior_rows,
 )
 from falconwing_kit.sysid.prepare import PreparedTable, prepare
-from falconwing_kit.sysid.shooting import Windows, cut_windows, jacobian
+from falconwing_kit.sysid.shooting import Windows, cut_windows
 from falconwing_kit.sysid.uncertainty import uncertainty
 
 Verdict = Literal["named", "ambiguous", "none", "outside"]
@@ -71,6 +71,7 @@ MAX_REMAINING_SHARE = 0.5  # of the excess: an effect that leaves more is no exp
 NO_EXCESS_SIGMAS = 3.0  # explained chi2 above this, but no excess: nothing new in this flight
 EXCESS_SIGMAS = 6.0  # chi2 above the baseline level by this many standard deviations is not chance
 MAX_EFFECTS = 3  # named together
+MAX_SET_ASIDE = 2  # effects in both flights that may hide another one
 VISIBLE_SIGMAS = 3.0  # standard deviations of the flight's chi2 that a third effect must explain
 # Squared Mahalanobis distance per parameter: three standard deviations each is another aircraft.
 MAX_MAHALANOBIS = 9.0
@@ -131,20 +132,57 @@ def name_effect(
     return _decide(base, windows, before, ranking, prepared, catalogue, progress)
 
 
-def _decide(
+def _set_aside(
     base: NominalModel,
     windows: Windows,
     before: FitResult,
+    ranking: list[EffectCandidate],
+    catalogue: Sequence[Effect],
+    threshold: float,
+    progress: Progress,
+) -> tuple[FitResult, list[EffectCandidate], EffectCandidate | None]:
+    """Put effects that act in the baseline flight too into the nominal model, and rank the others.
+
+    An effect of one size in both flights is a flaw of the nominal model: it is no answer, but it
+    must not hide one either.
+
+    Returns:
+        The fit to the flight with these effects, the ranking beside them, and the one of it that is
+        new in this flight, if any. Their own evidence is that over their presence in both flights.
+    """
+    aside: list[EffectCandidate] = []
+    new = None
+    while len(aside) < MAX_SET_ASIDE and ranking[0].delta_bic > threshold:
+        best = ranking[0]
+        change = _evidence_of_change(base, windows, best)
+        if best.result is None or change >= VERY_STRONG_EVIDENCE:
+            new = best
+            break
+        aside.append(replace(best, delta_bic=min(best.delta_bic, change)))
+        before = best.result
+        names = {candidate.effect.name for candidate in aside}
+        rest = [effect for effect in catalogue if effect.name not in names]
+        ranking = _rank(base, windows, before, rest, progress)
+    return before, sorted([*ranking, *aside], key=lambda c: -c.delta_bic), new
+
+
+def _decide(
+    base: NominalModel,
+    windows: Windows,
+    nominal: FitResult,
     ranking: list[EffectCandidate],
     prepared: PreparedTable,
     catalogue: Sequence[Effect],
     progress: Progress,
 ) -> Naming:
-    # Chi2 of the flight above the baseline's, and the standard deviation of that difference.
     threshold = max(VERY_STRONG_EVIDENCE, 3.0 * base.false_alarm_level)
+    before, ranking, new = _set_aside(
+        base, windows, nominal, ranking, catalogue, threshold, progress
+    )
+    # Chi2 of the flight above the baseline's, and the standard deviation of that difference.
     dof = degrees_of_freedom(windows, before)
     error = base.chi2 * np.sqrt(2.0 / dof + 2.0 / degrees_of_freedom(base.windows, base.result))
-    excess_chi2 = before.cost / dof - base.chi2
+    excess_chi2 = nominal.cost / dof - base.chi2
     chosen: tuple[EffectCandidate, ...] = ()
     verdict: Verdict = "none"
     # Named, or ambiguous where others come within "very strong" of the best.
@@ -159,13 +197,19 @@ def _decide(
             )
             ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
     # No excess over the baseline, no name: the same effect may be in both flights.
-    if chosen and _is_in_both_flights(base, windows, chosen[0]):
+    if (
+        chosen
+        and chosen[0] is not new
+        and _evidence_of_change(base, windows, chosen[0]) < VERY_STRONG_EVIDENCE
+    ):
         verdict, chosen = "none", ()
     # Outside where the chosen effects leave most of the excess, or nothing explains it.
     adding_up = chosen if verdict == "named" else ranking[:1]
     explained_bic = sum(c.delta_bic for c in adding_up)
     explained_chi2 = sum(c.delta_chi2 for c in adding_up) * base.reduced_chi2 / dof
-    remaining_chi2 = excess_chi2 - explained_chi2
+    if not chosen:  # what was set aside is no answer, so the flight as it is has to be judged
+        before = nominal
+    remaining_chi2 = before.cost / dof - base.chi2 - explained_chi2
     if chosen and excess_chi2 <= 0.0 and explained_chi2 > NO_EXCESS_SIGMAS * error:
         # So much would show as an excess over the baseline: the baseline has it too.
         verdict, chosen = "none", ()
@@ -173,21 +217,17 @@ def _decide(
         verdict, chosen = "outside", ()
     elif not chosen and excess_chi2 > EXCESS_SIGMAS * error:
         verdict = "outside"
-    generic = _best_generic(base, windows, before, explained_bic, progress)
+    generic = _best_generic(base, windows, before, adding_up, progress)
     distance_squared, n_prior = _prior_distance(adding_up[-1].result or before, base.prior)
     distance_squared /= base.prior_inflation
     mahalanobis = distance_squared / n_prior
-    # Evidence above which the generic effect is the better explanation.
-    generic_limit = (
-        explained_bic + max(threshold, GENERIC_MARGIN * explained_bic)
-        if chosen
-        else GENERIC_EVIDENCE
-    )
+    if chosen:
+        margin = max(threshold, GENERIC_MARGIN * explained_bic)
+        is_generic_better = _evidence_over(base, windows, generic, adding_up) > margin
+    else:
+        is_generic_better = generic.delta_bic > GENERIC_EVIDENCE
     # Parameters that moved so far may imitate any effect, unless that is little compared with what
     # the effect itself explains.
-    is_generic_better = generic.delta_bic > generic_limit and (
-        not chosen or generic.delta_chi2 > sum(c.delta_chi2 for c in adding_up)
-    )
     if is_generic_better or (
         mahalanobis > MAX_MAHALANOBIS and distance_squared > FORMULA_ERROR * explained_bic
     ):
@@ -201,25 +241,42 @@ def _decide(
         remaining_chi2,
         generic,
         mahalanobis,
-        before,
+        nominal,
         windows,
         prepared,
     )
 
 
-def _is_in_both_flights(base: NominalModel, windows: Windows, found: EffectCandidate) -> bool:
-    """Whether an effect of one size in both flights explains them as well as one in the second."""
+def _evidence_over(
+    base: NominalModel,
+    windows: Windows,
+    generic: EffectCandidate,
+    named: Sequence[EffectCandidate],
+) -> float:
+    """Evidence for a generic effect over named ones: both explain the same chi2, in one unit.
+
+    Not the difference of their evidence over the nominal model, since the variance factors differ,
+    which say how often each is seen by chance, not which fits better.
+    """
+    gained = generic.delta_chi2 - sum(c.delta_chi2 for c in named)
+    penalty = bic_penalty(generic.effect, windows) + SELECTION_PENALTY
+    penalty -= sum(bic_penalty(c.effect, windows) for c in named)
+    return gained / base.inflation.get(generic.effect.name, 1.0) - penalty
+
+
+def _evidence_of_change(base: NominalModel, windows: Windows, found: EffectCandidate) -> float:
+    """Evidence for an effect in the flight alone over the same effect in both flights."""
     change = change_over_baseline(base, windows, found)
-    return change / base.inflation.get(found.effect.name, 1.0) < VERY_STRONG_EVIDENCE
+    return change / base.inflation.get(found.effect.name, 1.0)
 
 
 def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCandidate) -> float:
     """Chi2 by which an effect in the flight alone beats the same effect in both flights.
 
-    Both hypotheses are fitted to both flights at once, linearised with the effect as found:
-    parameters of the baseline, parameters of the flight, which drift from those by a day's change,
-    and one set of amplitudes, which act in the baseline too or do not. Likelihood ratio of two
-    models of equal size [Wilks 1938].
+    With the effect in both, the baseline flight is fitted anew, all parameters of the aircraft free
+    and the effect's own near those that the flight has, to their standard deviation; then the
+    flight, with the effect as it came out, under the prior of that aircraft on another day.
+    Likelihood ratio of two models of equal size [Wilks 1938].
 
     Args:
         base: the nominal model, with the baseline flight.
@@ -231,81 +288,46 @@ def change_over_baseline(base: NominalModel, windows: Windows, found: EffectCand
     """
     if found.result is None:
         return float("inf")
+    mine = [p.name for p in found.effect.parameters]
     amplitudes = [p.name for p in found.effect.amplitudes]
-    names = [base.result.model.names[i] for i in base.result.free]
-    with_effect = base.result.model.with_effect(found.effect).with_values(found.values)
-    free = tuple(with_effect.names.index(name) for name in (*names, *amplitudes))
-    seen = jacobian(with_effect, base.windows, base.result.initial_states, free)
-    # With the effect in the baseline flight too, and without; then in the flight.
-    in_both = _linear_problem(*seen, [*names, *amplitudes], names, amplitudes)
-    without = _linear_problem(*base.result.linear, names, names, amplitudes)
-    second_free = [found.result.model.names[i] for i in found.result.free]
-    second = _linear_problem(*found.result.linear, second_free, names, amplitudes)
-    rows, mean = prior_rows(base.result.model, base.result.free, base.weak)
-    drift = np.array([max(base.drift.get(name, np.inf), 1e-9) for name in names])
-    at_base = np.array([base.result.model.values[name] for name in names])
-    apart = np.array([found.result.model.values[name] for name in names]) - at_base
-    scale, F, k = np.sqrt(base.reduced_chi2), len(names), len(amplitudes)
-    costs = []
-    for first in (in_both, without):
-        # Unknowns: change of the baseline's parameters (F), of the flight's (F), of the amplitudes.
-        J = np.vstack(
-            [
-                np.insert(first.J, [F] * F, 0.0, axis=1) / scale,
-                np.insert(second.J, [0] * F, 0.0, axis=1) / scale,
-                np.hstack([rows, np.zeros((F, F + k))]),
-                np.hstack([-np.diag(1.0 / drift), np.diag(1.0 / drift), np.zeros((F, k))]),
-            ]
-        )
-        poses = np.concatenate([first.residual, second.residual]) / scale
-        residual = np.concatenate([poses, rows @ (at_base - mean), apart / drift])
-        unit = np.maximum(np.linalg.norm(J, axis=0), 1e-30)
-        step, *_ = np.linalg.lstsq(J / unit, -residual, rcond=1e-9)
-        costs.append(float(np.sum((residual + (J / unit) @ step) ** 2)))
-    return costs[0] - costs[1]
-
-
-@dataclass(frozen=True)
-class _LinearProblem:
-    """Residual (M,) and derivatives (M, F + k) outside the span of the initial states."""
-
-    J: Array
-    residual: Array
-
-
-def _linear_problem(
-    residual: Array,
-    of_parameters: Array,
-    of_states: Array,
-    free: Sequence[str],
-    names: Sequence[str],
-    amplitudes: Sequence[str],
-) -> _LinearProblem:
-    """From a linearisation with derivatives to `free`, in the order of names and amplitudes.
-
-    Columns of zeros for those that are not among them.
-    """
-    Q = np.linalg.qr(np.nan_to_num(of_states, posinf=0.0, neginf=0.0))[0]
-    joined = np.concatenate([of_parameters, residual[..., None]], axis=2)
-    joined = np.nan_to_num(joined, posinf=0.0, neginf=0.0)  # of a prediction that diverged
-    joined = (joined - Q @ (Q.transpose(0, 2, 1) @ joined)).reshape(-1, joined.shape[2])
-    J = np.zeros((len(joined), len(names) + len(amplitudes)))
-    for column, name in enumerate((*names, *amplitudes)):
-        if name in free:
-            J[:, column] = joined[:, list(free).index(name)]
-    return _LinearProblem(J, joined[:, -1])
+    sigma = uncertainty(found.result, windows, base.prior).sigma
+    near = {name: max(sigma.get(name, 0.0), 1e-9) for name in amplitudes}
+    weak = base.weak or Prior({}, {})
+    both = Prior({**weak.mean, **found.values}, {**weak.sigma, **near})
+    model = base.result.model.with_effect(found.effect).with_values(found.values)
+    first = fit(
+        model.with_fixed(found.effect.shape), base.windows, base.result.initial_states,
+        prior=both, iterations=15,
+    )  # fmt: skip
+    values = {name: first.model.values[name] for name in model.names}
+    pull = sum(((values[n] - found.values[n]) / s) ** 2 for n, s in near.items())
+    # The aircraft's parameters alone, for this size of the effect.
+    of_aircraft = [k for k, i in enumerate(first.free) if model.names[i] not in mine]
+    conditional = replace(
+        first, free=tuple(first.free[k] for k in of_aircraft),
+        parameter_jacobian=first.parameter_jacobian[..., of_aircraft],
+    )  # fmt: skip
+    prior, *_ = drift_prior(conditional, base.windows, weak)
+    second = fit(
+        found.result.model.with_values(values).with_fixed(mine), windows,
+        found.result.initial_states, prior=prior, iterations=15,
+    )  # fmt: skip
+    in_both = first.cost - pull + second.cost
+    return (in_both - base.result.cost - found.result.cost) / base.reduced_chi2
 
 
 def _best_generic(
     base: NominalModel,
     windows: Windows,
     before: FitResult,
-    explained_bic: float,
+    named: Sequence[EffectCandidate],
     progress: Progress,
 ) -> EffectCandidate:
     """The generic effect that explains most, fitted in full where it may exceed the named ones."""
     best = _scan(base, windows, before, available_generic_effects(before.model), progress)[0]
-    if best.delta_bic > explained_bic:
+    if best.delta_bic > sum(c.delta_bic for c in named) or best.delta_chi2 > sum(
+        c.delta_chi2 for c in named
+    ):
         best = _fit_effect(base, windows, before, best, progress)
     return replace(best, delta_bic=best.delta_bic - SELECTION_PENALTY)
 
@@ -362,8 +384,15 @@ def _find_further_effect(
     An effect that acts on the same as one of those (a lag beside a delay) would be that error.
     """
     last = chosen[-1].result
-    rest = [e for e in catalogue if all(e.acts_on != c.effect.acts_on for c in chosen)]
-    if last is None or not rest:
+    if last is None:
+        return None
+    rest = [
+        e
+        for e in catalogue
+        if all(e.acts_on != c.effect.acts_on for c in chosen)
+        and not any(p.name in last.model.values for p in e.parameters)
+    ]
+    if not rest:
         return None
     if _scan(base, windows, last, rest, progress)[0].delta_bic < threshold:
         return None
@@ -377,7 +406,10 @@ def _find_further_effect(
         if c.delta_bic > best.delta_bic - VERY_STRONG_EVIDENCE
         and best.effect.name not in c.effect.contains
     ]
-    return best if best.delta_bic > needed and not rivals else None
+    if best.delta_bic <= needed or rivals:
+        return None
+    is_new = _evidence_of_change(base, windows, best) >= VERY_STRONG_EVIDENCE
+    return best if is_new else None
 
 
 def _formula_error(base: NominalModel, found: EffectCandidate, other: Effect) -> float:

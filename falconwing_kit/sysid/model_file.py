@@ -18,6 +18,7 @@ from falconwing_kit.aircraft.terms import (
     FORCES,
     MOMENTS,
     QUASI_STEADY_RATES,
+    THRUST_CURVE,
     UNIFORM_WIND,
     Term,
     WindTerm,
@@ -42,7 +43,8 @@ KNOWN_EFFECTS = (
     *CATALOGUE, *GENERIC_EFFECTS, *SPARSE_EFFECTS, *(standing_effect(e) for e in CATALOGUE),
 )  # fmt: skip
 KNOWN_TERMS: tuple[Term | WindTerm, ...] = (
-    *FORCES, *MOMENTS, *QUASI_STEADY_RATES, CROSS_MOMENTS, ATTITUDE_HOLD, UNIFORM_WIND,
+    *FORCES, *MOMENTS, *QUASI_STEADY_RATES, THRUST_CURVE, CROSS_MOMENTS, ATTITUDE_HOLD,
+    UNIFORM_WIND,
 )  # fmt: skip
 
 

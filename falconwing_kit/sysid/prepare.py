@@ -28,6 +28,9 @@ SAME_INTERVAL = 0.2  # intervals within a row or this share of the usual one are
 MIN_ALIKE, MAX_SHORTER = 0.7, 0.02  # shares of the intervals between readings
 # Optional columns; better initial states than any derivative.
 LOGGED_MOTION = ("vx", "vy", "vz", "p", "q", "r")
+# Noise of these over that of the derivatives, above which they are not: 2.5 for gyroscopes of ALFA
+# at 4 Hz, 3.7 and 10 for differences of poses at 10 and 20 Hz.
+MAX_MOTION_NOISE = 3.0
 MIN_NOISE = np.full(6, 1e-3)  # [m, rad]; a smaller estimate is not of measured poses
 
 
@@ -168,6 +171,7 @@ class _Segment:
     residual: Array  # (N, 6) pose minus cubic, zero where no pose
     logged: Array  # (N, 6) velocity and body rates where the log has them, else nan
     variance: Array  # (6,) of the noise
+    slope_variance: Array  # (6,) of the cubics' slopes, from that noise
 
 
 def _split_at_gaps(table: FlightTable) -> list[FlightTable]:
@@ -198,13 +202,14 @@ def _smooth_segment(table: FlightTable) -> _Segment | None:
     value, slope, curvature, residual = (
         np.concatenate(parts, axis=1) for parts in zip(*[f[:4] for f in fits], strict=True)
     )
-    variance = np.concatenate([f[4] for f in fits])
+    variance, slope_variance = (np.concatenate([f[k] for f in fits]) for k in (4, 5))
     pose = _rewrap(pose, value)
     unknown = np.full(len(table.t), np.nan)
     logged = np.stack([table.extra.get(name, unknown) for name in LOGGED_MOTION], axis=1)
     return _Segment(
-        table.t, pose, table.commands, value, slope, curvature, residual, logged, variance
-    )
+        table.t, pose, table.commands, value, slope, curvature, residual, logged, variance,
+        slope_variance,
+    )  # fmt: skip
 
 
 def _rewrap(pose: Array, value: Array) -> Array:
@@ -214,7 +219,7 @@ def _rewrap(pose: Array, value: Array) -> Array:
     return np.asarray(pose - 2.0 * np.pi * np.nan_to_num(turns))
 
 
-def _local_cubics(t: Array, y: Array, measured: Array) -> tuple[Array, Array, Array, Array, Array]:
+def _local_cubics(t: Array, y: Array, measured: Array) -> tuple[Array, ...]:
     """A robust cubic around every row through its nearest measured samples.
 
     Args:
@@ -223,7 +228,7 @@ def _local_cubics(t: Array, y: Array, measured: Array) -> tuple[Array, Array, Ar
         measured: (N,) mask of measured rows.
 
     Returns:
-        value, slope, curvature, residual, each (N, 3), and the noise variance (3,).
+        value, slope, curvature, residual, each (N, 3), the noise variance (3,), and that of slopes.
     """
     ts, ys = t[measured], y[measured]
     interval = max(float(np.median(np.diff(ts))), 1e-6)
@@ -254,7 +259,10 @@ def _local_cubics(t: Array, y: Array, measured: Array) -> tuple[Array, Array, Ar
         coefficients[..., k] * f / scale**k for k, f in ((0, 1.0), (1, 1.0), (2, 2.0))
     )
     residual = np.where(measured[:, None], y - value, 0.0)
-    return value, slope, curvature, residual, difference_noise(ys) ** 2
+    variance, middle = difference_noise(ys) ** 2, basis[len(basis) // 2]
+    of_slope = np.linalg.inv(middle.T @ middle + 1e-9 * np.eye(4))[1, 1] / scale**2
+    slope_variance = of_slope * np.maximum(variance, MIN_NOISE[:3] ** 2)
+    return value, slope, curvature, residual, variance, slope_variance
 
 
 def _running_median(values: Array) -> Array:
@@ -292,7 +300,11 @@ def _measured_noise(table: FlightTable, sigma: Array | None) -> Array | None:
 
 
 def _state_estimate(segment: _Segment) -> tuple[Array, Array]:
-    """State (N, 12) and its time derivative from the local cubics; logged motion goes first."""
+    """State (N, 12) and its time derivative from the local cubics.
+
+    Logged velocities and body rates go first, unless they are far noisier than the cubics' slopes,
+    as differences of poses are.
+    """
     p_world, angles = segment.value[:, :3], segment.value[:, 3:]  # roll, pitch, yaw
     v_world, angle_rates = segment.slope[:, :3], segment.slope[:, 3:]
     rates = np.stack(body_rates(angles[:, 0], angles[:, 1], *angle_rates.T), axis=1)
@@ -302,6 +314,14 @@ def _state_estimate(segment: _Segment) -> tuple[Array, Array]:
     rates_later = np.stack(body_rates(later[:, 0], later[:, 1], *later_rates.T), axis=1)
     order = [1, 2, 0]  # roll, pitch, yaw -> pitch, yaw, roll
     state = np.concatenate([p_world, angles[:, order], v_world, rates], axis=1)
-    state[:, 6:] = np.where(np.isfinite(segment.logged), segment.logged, state[:, 6:])
+    for k, (logged, variance) in enumerate(
+        zip(segment.logged.T, segment.slope_variance, strict=True)
+    ):
+        known = np.isfinite(logged)
+        if known.sum() < MIN_SAMPLES:
+            continue
+        noise = difference_noise((logged - state[:, 6 + k])[known, None])[0]  # motion cancels
+        if noise <= MAX_MOTION_NOISE * np.sqrt(variance):
+            state[known, 6 + k] = logged[known]
     derivatives = [v_world, angle_rates[:, order], segment.curvature[:, :3]]
     return state, np.concatenate([*derivatives, (rates_later - rates) / dt], axis=1)

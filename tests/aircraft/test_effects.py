@@ -422,6 +422,21 @@ def test_lost_thrust_by_hand(name, K, expected):
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "K"), [("thrust_loss", {"thrust_lost": 0.2}), ("battery_sag", {"sag": 0.4})]
+)
+def test_a_weak_propeller_gives_less_of_all_its_loads(name, K):
+    """By hand at 7 m/s and half throttle: T/m = (9 - 3.5) 0.5 + 8 0.25 = 4.75 with the curve, and
+    0.4 T = 1.9 of torque; a fifth of both is lost, of the battery's after half a minute.
+    """
+    model = rates_model().with_terms(terms.THRUST_CURVE)
+    model = model.with_effect(EFFECTS["propeller_torque"]).with_effect(EFFECTS[name])
+    values = {**THRUST, "kTT": 8.0, "torque_roll": 0.4, "torque_yaw": 0.0, **K}
+    lost = model.terms[-1].evaluate(flow(7.0, throttle=0.5, time=30.0), model.with_values(values).K)
+    assert lost == pytest.approx((-0.95, 0.0, 0.0, -0.38, 0.0, 0.0), abs=1e-3)
+    assert not model.terms[-1].of_propeller
+
+
 def test_a_full_battery_sags_not():
     """At the start of the flight nothing is lost yet."""
     assert loads("battery_sag", flow(throttle=0.5, time=0.0), sag=0.5) == pytest.approx(

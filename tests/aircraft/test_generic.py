@@ -12,12 +12,13 @@ from falconwing_kit.aircraft.generic import (
     GENERIC_EFFECTS,
     GENERIC_LOADS,
     INPUT_FILTER,
+    MOMENT_WITH_THRUST,
     REGRESSORS,
     STABILISER,
     fir_input_filter,
 )
 from falconwing_kit.aircraft.model import FORMS, rates_model
-from falconwing_kit.aircraft.terms import Flow
+from falconwing_kit.aircraft.terms import THRUST_CURVE, Flow
 
 # Twice the ordinary speed, so that V^2 counts four and V two; every field a number of its own.
 AIR = Flow(
@@ -163,6 +164,16 @@ def test_a_fit_may_begin_and_may_say_nothing(effect):
     )
 
 
+def test_a_moment_with_thrust_takes_the_model_s_own():
+    """By hand at 10 m/s and half throttle: (9 - 0.5 10) 0.5 + 8 0.25 = 4 m/s^2, times 1, 2, 3."""
+    model = rates_model().with_terms(THRUST_CURVE).with_effect(MOMENT_WITH_THRUST)
+    values = {f"moment_thrust_{axis}": k for k, axis in enumerate("xyz", start=1)}
+    K = model.with_values({**values, "kT": 9.0, "kTV": 0.5, "kTT": 8.0}).K
+    air = AIR._replace(airspeed=10.0, throttle=0.5)
+    assert model.terms[-1].evaluate(air, K) == pytest.approx((0.0, 0.0, 0.0, 4.0, 8.0, 12.0))
+    assert model.terms[-1].of_propeller
+
+
 def test_sticks_that_linger_by_hand():
     """A step from 0 to 1 of which a quarter comes one frame later and an eighth two: 0, 5/8, 7/8,
     1.
@@ -173,4 +184,4 @@ def test_sticks_that_linger_by_hand():
     assert moved == pytest.approx(
         np.repeat([[0.0], [0.0], [0.625], [0.875], [1.0]], 4, axis=1), abs=1e-12
     )
-    assert (*GENERIC_LOADS, STABILISER, INPUT_FILTER) == GENERIC_EFFECTS
+    assert (*GENERIC_LOADS, MOMENT_WITH_THRUST, STABILISER, INPUT_FILTER) == GENERIC_EFFECTS

@@ -1,14 +1,18 @@
 """The gap workflow on aircraft that are not ours: seeds -> one line of JSON each, and a table.
 
-    python -m tests.benchmarks.foreign_study --seed 30000 --count 200 --workers 16 --out rows.jsonl
+    python -m tests.benchmarks.foreign_study --seed 30000 --count 200 --workers 16 \\
+        --budget-s 450 --out rows.jsonl
+    python -m tests.benchmarks.foreign_study --summary rows.jsonl
 
 Runs the whole workflow as a user would (`Study(...).report()`), with an airframe file of three keys
 or without, and records whatever it answers; an exception is the worst answer. All flights are
-simulated (`foreign_flights`). A file that exists is gone on with, so a study can be stopped and
-resumed. Nothing here may be tuned on the seeds that are reported.
+simulated (`foreign_flights`). The flights come in random order, so that a study that is cut short
+is a fair sample; a file that exists is gone on with, flights that were lost first. Nothing here may
+be tuned on the seeds that are reported.
 """
 
 import argparse
+import contextlib
 import json
 import os
 import tempfile
@@ -16,6 +20,7 @@ import time
 import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +44,7 @@ PAIRS = (
 # Of ten cases: three quiet ones, five of the catalogue, one outside it, one pair.
 ROUND = ("none", "in", "in", "none", "in", "outside", "in", "none", "in", "pair")
 CLEAR_GAP = 0.3  # chi2 per component above the baseline's: the gap is worth closing
+PROBABILITY_BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)  # lower ends
 
 
 @dataclass(frozen=True)
@@ -130,13 +136,16 @@ def study(asked: Asked) -> dict[str, Any]:
         report = _report(case, asked.with_airframe)
         row |= {
             "answer": report["verdict"], "effects": report["effects"],
-            "ranking": [[r["effect"], round(r["gain"], 1)] for r in report["ranking"][:4]],
+            "ranking": [
+                [r["effect"], round(r["gain"], 1), r["probability"]] for r in report["ranking"][:6]
+            ],
             "parameters": {
                 name: [p["value"], p["low95"], p["high95"]]
                 for name, p in report["parameters"].items()
             },
             "gap": [report["gap"][name] for name in ("before", "after", "calm")],
-            "threshold": report.get("threshold"), "added_to_base": report.get("added_to_base"),
+            "threshold": report["threshold"], "added_to_base": report["added_to_base"],
+            "unnamed": report["unnamed"], "strain": report["strain"], "seconds": report["seconds"],
             "warnings": report.get("warnings", [])[:6],
         }  # fmt: skip
     except InputError as error:
@@ -150,6 +159,11 @@ def study(asked: Asked) -> dict[str, Any]:
     row |= {"cpu_s": time.process_time() - begun, "wall_s": time.perf_counter() - wall}
     row["judged"] = judge(row)
     return row
+
+
+def study_before(deadline: float, asked: Asked) -> dict[str, Any] | None:
+    """The same, or None for a flight that would begin after the deadline (of `time.time`)."""
+    return study(asked) if time.time() < deadline else None
 
 
 def _report(case: Any, with_airframe: bool) -> dict[str, Any]:
@@ -208,29 +222,32 @@ def judge(row: dict[str, Any]) -> str:
 
 
 def summary(rows: list[dict[str, Any]]) -> list[str]:
-    """Lines of a report: counts per aircraft and per effect, then figures."""
+    """Lines of a report: figures with 95 % intervals, counts per aircraft and effect, worst."""
     rows = [row for row in rows if row["answer"] != "not flown"]
-    lines = [f"{len(rows)} simulated flights of {len({r['aircraft'] for r in rows})} aircraft"]
+    if not rows:
+        return ["no flights yet"]
+    lines = [
+        f"{len(rows)} simulated flights of {len({r['aircraft'] for r in rows})} aircraft; "
+        "in brackets: 95 % intervals (Wilson for shares, order statistics for medians)",
+        "",
+        *_figures(rows),
+    ]
     for title, of in (("aircraft", "aircraft"), ("effect", "effect"), ("airframe", "airframe")):
         lines += ["", _counts(title, rows, of)]
-    return [*lines, "", *_figures(rows), "", *_worst(rows)]
+    return [*lines, "", *_worst(rows)]
 
 
 def _counts(title: str, rows: list[dict[str, Any]], of: str) -> str:
     words = [word for word in JUDGEMENTS[:-1] if any(judge(r) == word for r in rows)]
     width = max(len(str(r[of])) for r in rows) + 2
-    lines = [title.ljust(width) + "".join(w.rjust(max(len(w), 5) + 2) for w in [*words, "flights"])]
+    heads = [w.rjust(max(len(w), 5) + 2) for w in words]
+    lines = [title.ljust(width) + "".join(heads) + "  right of flights"]
     groups = sorted({str(r[of]) for r in rows})
     for group in [*groups, "all"]:
-        some = [r for r in rows if group in ("all", str(r[of]))]
-        counts = [sum(judge(r) == word for r in some) for word in words] + [len(some)]
-        lines.append(
-            group.ljust(width)
-            + "".join(
-                (str(c) if c else ".").rjust(max(len(w), 5) + 2)
-                for c, w in zip(counts, [*words, "flights"], strict=True)
-            )
-        )
+        some = [judge(r) for r in rows if group in ("all", str(r[of]))]
+        counts = [some.count(word) for word in words]
+        cells = [(str(c) if c else ".").rjust(len(h)) for c, h in zip(counts, heads, strict=True)]
+        lines.append(group.ljust(width) + "".join(cells) + f"  {share(some.count('right'), some)}")
     return "\n".join(lines)
 
 
@@ -241,40 +258,63 @@ def _figures(rows: list[dict[str, Any]]) -> list[str]:
     pairs = [r for r in rows if "+" in r["effect"]]
     lines = []
     for name, some in (
-        ("one effect", single),
-        ("pairs", pairs),
-        ("outside", beyond),
-        ("none", calm),
+        ("one effect, named right", single),
+        ("pairs, both named", pairs),
+        ("one effect or two, named right", single + pairs),
+        ("outside, said so", beyond),
+        ("nothing hidden, quiet", calm),
+        ("all, right", rows),
     ):
-        if some:
-            right = sum(judge(r) == "right" for r in some)
-            wrong = sum(judge(r) == "wrong name" for r in some)
-            lines.append(f"{name}: right {right} of {len(some)}, wrong name {wrong}")
-    if calm:
-        loud = sum(r["answer"] in ("named", "ambiguous", "outside") for r in calm)
-        lines.append(
-            f"false alarms (named, ambiguous or outside with nothing hidden): {loud} of {len(calm)}"
-        )
+        lines.append(f"{name}: {share(sum(judge(r) == 'right' for r in some), some)}")
+    wrong = sum(judge(r) == "wrong name" for r in rows)
+    loud = sum(r["answer"] in ("named", "ambiguous", "outside") for r in calm)
+    failed = sum(judge(r) in ("refused", "traceback") for r in rows)
+    lines += [
+        f"wrong names: {share(wrong, rows)}",
+        f"false alarms (named, ambiguous or outside with nothing hidden): {share(loud, calm)}",
+        f"refused or traceback: {share(failed, rows)}",
+    ]
     for name, some in (("in the catalogue", single + pairs), ("outside it", beyond)):
         closed = gap_closed(some)
-        if closed:
-            lines.append(
-                f"gap closed, {name}: median {100.0 * np.median(closed):.0f} % of {len(closed)} "
-                f"flights whose excess is over {CLEAR_GAP}"
-            )
-    inside = coverage(rows)
-    if inside:
         lines.append(
-            f"95 % intervals hold the true size: {100.0 * np.mean(inside):.0f} % of "
-            f"{len(inside)} parameters"
+            f"gap closed, {name}: {median(closed, 100.0, ' %')} of {len(closed)} "
+            f"flights whose excess is over {CLEAR_GAP}"
         )
+    inside = coverage(rows)
+    lines.append(f"95 % intervals that hold the true size: {share(sum(inside), inside)} parameters")
+    error, bins = reliability(rows)
+    lines.append(f"reliability error of the first name's probability: {error:.3f}")
+    lines += [f"  {b}" for b in bins]
     seconds = [r["cpu_s"] for r in rows if "cpu_s" in r]
-    lines.append(
-        f"CPU seconds a report: median {np.median(seconds):.1f}, "
-        f"95 % {np.percentile(seconds, 95):.1f}, "
-        f"most {max(seconds):.1f}"
-    )
+    late = sum(s > 15.0 for s in seconds)
+    if seconds:
+        lines.append(
+            f"CPU seconds a report: {median(seconds)}, 95 % {np.percentile(seconds, 95):.1f}, "
+            f"most {max(seconds):.1f}; over 15 s: {share(late, seconds)}"
+        )
     return lines
+
+
+def share(count: int, of: list[Any]) -> str:
+    """A count of so many, with the share and its Wilson interval [Wilson 1927]."""
+    from scipy.stats import binomtest
+
+    if not of:
+        return "0 of 0"
+    low, high = binomtest(count, len(of)).proportion_ci(0.95, "wilson")
+    return f"{count} of {len(of)} = {count / len(of):.3f} [{low:.3f}, {high:.3f}]"
+
+
+def median(values: list[float], scale: float = 1.0, unit: str = "") -> str:
+    """The median and the order statistics that hold the true one in 95 % of samples."""
+    from scipy.stats import binom
+
+    if not values:
+        return "none"
+    n, ordered = len(values), scale * np.sort(values)
+    low = int(max(binom.ppf(0.025, n, 0.5) - 1, 0))
+    ends = f"{ordered[low]:.1f}, {ordered[n - 1 - low]:.1f}"
+    return f"median {np.median(ordered):.1f}{unit} [{ends}]"
 
 
 def gap_closed(rows: list[dict[str, Any]]) -> list[float]:
@@ -289,11 +329,41 @@ def coverage(rows: list[dict[str, Any]]) -> list[bool]:
     """Whether each interval of a rightly named effect holds the true value, where it has one."""
     inside = []
     for row in rows:
-        if judge(row) == "right" and row["answer"] == "named":
+        if judge(row) in ("right", "part") and row["answer"] == "named":
             for name, (_, low, high) in row["parameters"].items():
                 if name in row["truth"]["kit"]:
                     inside.append(low <= row["truth"]["kit"][name] <= high)
     return inside
+
+
+def reliability(rows: list[dict[str, Any]]) -> tuple[float, list[str]]:
+    """How far the first name's probability is from how often that name is right.
+
+    Mean over flights of |mean probability - share of right names| of their bin [Guo et al. 2017].
+    A first name that is one of several hidden ones is right; with nothing hidden, or something
+    outside the catalogue, it is not.
+
+    Returns:
+        The error, and a line for each bin.
+    """
+    said, right = [], []
+    for row in rows:
+        if row.get("ranking"):
+            name, _, probability = row["ranking"][0]
+            said.append(probability)
+            right.append(merged(name) in merged(row["effect"]).split("+"))
+    if not said:
+        return float("nan"), []
+    p, hit = np.array(said), np.array(right)
+    number = np.clip(np.searchsorted(PROBABILITY_BINS, p, side="right") - 1, 0, None)
+    error, lines = 0.0, []
+    for k in np.unique(number):
+        some = hit[number == k]
+        error += abs(float(p[number == k].sum() - some.sum())) / len(p)
+        lines.append(
+            f"said {p[number == k].mean():.3f}: right {share(int(some.sum()), some.tolist())}"
+        )
+    return error, lines
 
 
 def _worst(rows: list[dict[str, Any]]) -> list[str]:
@@ -315,13 +385,17 @@ def _worst(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def main() -> None:
-    """Run a study, or go on with it, and print its table."""
-    from tqdm import tqdm
+    """Run a study, or go on with it, and print its table; --summary prints that of finished rows.
 
+    --budget-s: no flight begins later than this many seconds after the start; those begun are
+    finished and written.
+    """
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--seed", type=int, required=True, help="of the first case")
+    parser.add_argument("--summary", type=Path, nargs="+", help="files of rows: print their table")
+    parser.add_argument("--seed", type=int, help="of the first case")
     parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=2, help="processes of one thread each")
+    parser.add_argument("--budget-s", type=float, default=float("inf"), help="wall seconds")
     parser.add_argument("--aircraft", nargs="*", default=list(AIRCRAFT), choices=AIRCRAFT)
     parser.add_argument("--effect", nargs="*", default=[], help="only these, in turn")
     parser.add_argument(
@@ -330,32 +404,53 @@ def main() -> None:
     parser.add_argument(
         "--stress", action="store_true", help="gusts, onsets, few poses, other rates"
     )
-    parser.add_argument("--out", type=Path, required=True, help="JSON lines; gone on with")
+    parser.add_argument("--out", type=Path, help="JSON lines; gone on with")
     asked = parser.parse_args()
+    if asked.summary:
+        print("\n".join(summary([row for file in asked.summary for row in read_rows(file)])))
+        return
+    if asked.seed is None or asked.out is None:
+        parser.error("expected --seed and --out to run a study, or --summary FILE")
+    run(asked, time.time() + asked.budget_s)
+    print("\n".join(summary(read_rows(asked.out))))
+
+
+def run(asked: argparse.Namespace, deadline: float) -> None:
+    """Fly what is not yet in asked.out, in random order, and write a line as each flight ends."""
+    from tqdm import tqdm
+
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # the workers inherit it: one core each
-    done = []
-    if asked.out.exists():
-        done = [json.loads(line) for line in asked.out.read_text(encoding="utf-8").splitlines()]
-    known = {row["key"] for row in done}
+    known = {row["key"] for row in read_rows(asked.out)}
     wanted = list(
         cases(
             asked.seed, asked.count, tuple(asked.aircraft), tuple(asked.effect), asked.airframe,
             asked.stress,
         )
     )  # fmt: skip
-    left = [case for case in wanted if case.key not in known]
+    order = np.random.default_rng(asked.seed).permutation(len(wanted))
+    left = [wanted[k] for k in order if wanted[k].key not in known]
+    make_case("cub", seed=0, seconds=(2.0, 2.0))  # compiled once, read by all workers
     asked.out.parent.mkdir(parents=True, exist_ok=True)
-    with asked.out.open("a", encoding="utf-8") as file:
-        jobs = parallel_map(study, left, asked.workers)
+    with asked.out.open("a+", encoding="utf-8") as file:
+        if file.tell() and not asked.out.read_bytes().endswith(b"\n"):
+            file.write("\n")  # after a line that was cut short
+        jobs = parallel_map(partial(study_before, deadline), left, asked.workers)
         for case, row in tqdm(jobs, total=len(left), unit="flight"):
             if isinstance(row, WorkerLostError):  # left for the next run
                 print(f"{case.key}: {row}", flush=True)
-                continue
-            done.append(row)
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-    print("\n".join(summary(done)))
+            elif row is not None:
+                file.write(json.dumps(row) + "\n")
+                file.flush()
+
+
+def read_rows(file: Path) -> list[dict[str, Any]]:
+    """The finished rows of a study; none where there is no file, nor of a line cut short."""
+    rows = []
+    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
+        with contextlib.suppress(json.JSONDecodeError):
+            rows.append(json.loads(line))
+    return rows
 
 
 if __name__ == "__main__":

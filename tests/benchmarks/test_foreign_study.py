@@ -3,7 +3,18 @@
 import pytest
 
 from tests.benchmarks.foreign_flights import AIRCRAFT, effects_of
-from tests.benchmarks.foreign_study import cases, coverage, gap_closed, judge, summary
+from tests.benchmarks.foreign_study import (
+    cases,
+    coverage,
+    gap_closed,
+    judge,
+    median,
+    read_rows,
+    reliability,
+    share,
+    study_before,
+    summary,
+)
 
 
 def row(effect, answer, found=(), **more):
@@ -56,9 +67,9 @@ def test_figures_count_what_they_say():
     assert gap_closed(rows) == [0.75]
     assert coverage(rows) == [True, False]
     text = "\n".join(summary(rows))
-    assert "1 of 2" in text
+    assert "nothing hidden, quiet: 1 of 2 = 0.500" in text
     assert "traceback: cub flap 1 bare: boom at x.py:1" in text
-    assert "median 75 %" in text
+    assert "median 75.0 %" in text
 
 
 def test_a_study_meets_every_aircraft_and_every_kind_once_each():
@@ -75,3 +86,36 @@ def test_a_study_meets_every_aircraft_and_every_kind_once_each():
     stressed = list(cases(100, 28, stress=True))
     assert any(case.options.get("missing") == 0.3 for case in stressed)
     assert any(case.options.get("gust") for case in stressed)
+
+
+def test_intervals_are_those_of_the_books():
+    """Wilson's for 8 of 10 by hand: (0.8 + 0.192) / 1.384 -+ 0.227; of nine values the second and
+    eighth hold the median with 1 - 2 (1 + 9) / 512 = 96 %, the third and seventh with 82 % only.
+    """
+    assert share(8, [None] * 10) == "8 of 10 = 0.800 [0.490, 0.943]"
+    assert share(0, []) == "0 of 0"
+    assert median([9.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]) == "median 5.0 [2.0, 8.0]"
+
+
+def test_reliability_is_the_distance_of_said_from_seen():
+    """By hand: two flights said 0.8, one right: 0.3 off; two said 0.2 and both wrong: 0.2 off."""
+    rows = [
+        row("wind", "named", ranking=[["wind", 30.0, 0.8], ["flap", 1.0, 0.1]]),
+        row("none", "none", ranking=[["wind", 30.0, 0.8]]),
+        row("prop_wash", "outside", ranking=[["wind", 2.0, 0.2]]),
+        row("time_offset+flap", "none", ranking=[["stall", 2.0, 0.2]]),
+        row("wind", "refused"),
+    ]
+    error, lines = reliability(rows)
+    assert error == pytest.approx((2 * 0.3 + 2 * 0.2) / 4)
+    assert len(lines) == 2
+    assert reliability([row("time_offset", "named", ranking=[["control_delay", 9.0, 1.0]])])[0] == 0
+
+
+def test_a_study_can_be_cut_short_and_gone_on_with(tmp_path):
+    """No flight begins after the deadline; a line that was cut short is as if not there."""
+    assert study_before(0.0, next(cases(100, 1))) is None
+    file = tmp_path / "rows.jsonl"
+    assert read_rows(file) == []
+    file.write_text('{"key": "a"}\n{"key": "b"}\n{"ke')
+    assert [r["key"] for r in read_rows(file)] == ["a", "b"]

@@ -85,14 +85,14 @@ def changing(
     that, by a formula of the test's own on 10 ms steps.
     """
     effect, rng = EFFECTS[name], np.random.default_rng(seed)
-    hook = "loads" if effect.loads else "wind_field"
-    part = getattr(effect, hook)
-    clock = (lambda air, K: air.time) if effect.loads else (lambda px, py, height, time, K: time)
+    loads = effect.loads_of(own_aircraft().terms) if effect.loads_of else effect.loads
+    hook, part = ("loads", loads) if loads else ("wind_field", effect.wind_field)
+    clock = (lambda air, K: air.time) if loads else (lambda px, py, height, time, K: time)
 
     def late(*flow):
         return tuple(share(clock(*flow)) * load for load in part(*flow))
 
-    cut = replace(effect, **{hook: late})
+    cut = replace(effect, **{"loads_of": None, hook: late})
     model = own_aircraft().with_effect(cut).with_values(values)
     return measured(fly_figure_eights([model], seconds, rng), rng)
 

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from falconwing_kit.gap.baseline import _drift_prior, bic_penalty
+from falconwing_kit.gap.baseline import bic_penalty, drift_prior
 from falconwing_kit.gap.detectable import DetectableSize, detectable_sizes
 from falconwing_kit.gap.name import Naming, name_effect
 from falconwing_kit.sysid.fit import prior_rows
@@ -79,7 +79,7 @@ def test_error_that_a_window_shares_does_not_widen_the_prior_of_evidence():
     result, windows = base.result, base.windows
     offset = 2.0 * rng.normal(size=(len(windows), 1))
     result = replace(result, residual=result.residual + offset)
-    prior, drift, factor = _drift_prior(result, windows, base.weak)
+    prior, drift, factor = drift_prior(result, windows, base.weak)
     J, (P, _) = result.reduced_jacobian, prior_rows(result.model, result.free, base.weak)
     dof = windows.count - J.shape[2] - J.shape[0] * result.model.n_states
     information = np.einsum("wif,wig->fg", J, J) * dof / np.sum(result.residual**2) + P.T @ P

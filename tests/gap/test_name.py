@@ -9,8 +9,9 @@ import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import slice_time
+from falconwing_kit.gap import name as name_module
 from falconwing_kit.gap.baseline import VERY_STRONG_EVIDENCE, identify_baseline
-from falconwing_kit.gap.name import change_over_baseline, name_effect
+from falconwing_kit.gap.name import EffectCandidate, change_over_baseline, name_effect
 from falconwing_kit.sysid.fit import fit
 from tests.gap.studies import EFFECTS, own_aircraft, own_base, own_flight, shipped, wind_study
 from tests.sysid.simulated import fly_figure_eights, measured
@@ -153,3 +154,29 @@ def test_a_loss_that_the_parameters_take_up_is_still_a_change():
     naming = name_effect(base, own_flight("thrust_loss", 30.0, 43, thrust_lost=0.4))
     assert [c.effect.name for c in naming.chosen] == ["thrust_loss"]
     assert change_over_baseline(base, naming.windows, naming.chosen[0]) > VERY_STRONG_EVIDENCE
+
+
+def test_an_effect_in_both_flights_hides_no_other(monkeypatch):
+    """By the rule: the first in the ranking is in both flights (change 2 of the 10 needed), so it
+    joins the model, keeps 2 as its evidence, and the next one, ranked beside it, is the new one.
+    """
+    fits = [wind_study().naming.before, replace(wind_study().naming.before, cost=1.0)]
+    wind, flap = (
+        EffectCandidate(EFFECTS[name], evidence, evidence, {}, fitted)
+        for name, evidence, fitted in (("wind", 60.0, fits[1]), ("flap", 30.0, fits[0]))
+    )
+    changes = {"wind": 2.0, "flap": 40.0}
+    monkeypatch.setattr(name_module, "_evidence_of_change", lambda b, w, c: changes[c.effect.name])
+    asked = []
+
+    def rank(base, windows, before, rest, progress):
+        asked.append((before, {effect.name for effect in rest}))
+        return [flap]
+
+    monkeypatch.setattr(name_module, "_rank", rank)
+    before, ranking, new = name_module._set_aside(
+        own_base(), None, fits[0], [wind, flap], (EFFECTS["wind"], EFFECTS["flap"]), 10.0, print
+    )
+    assert asked == [(fits[1], {"flap"})] and before is fits[1]
+    assert [(c.effect.name, c.delta_bic) for c in ranking] == [("flap", 30.0), ("wind", 2.0)]
+    assert new is flap

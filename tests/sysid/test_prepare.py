@@ -296,6 +296,21 @@ def test_logged_velocities_are_taken_where_there_are_some(rng):
     assert np.array_equal(found[:, :6], plain[:, :6])
 
 
+def test_velocities_differentiated_from_noisy_poses_are_not_taken(rng):
+    """Differences of poses with 3 cm of noise err by 0.03 sqrt(2) / 0.05 = 0.85 m/s, local cubics
+    by 0.11: the state is the one without these columns, where velocities err by 0.1 m/s they stay.
+    """
+    t, pose = noisy(rng)
+    slope = np.diff(pose, axis=0, append=pose[-1:]) / 0.05
+    names = ("vx", "vy", "vz")
+    plain = prepare(table(t, pose)).flights[0].state_estimate
+    noisier = table(t, pose, **dict(zip(names, slope[:, :3].T, strict=True)))
+    np.testing.assert_array_equal(prepare(noisier).flights[0].state_estimate, plain)
+    measured = plain[:, 6:9] + 0.1 * rng.normal(size=(len(t), 3))
+    usable = table(t, pose, **dict(zip(names, measured.T, strict=True)))
+    np.testing.assert_array_equal(prepare(usable).flights[0].state_estimate[:, 6:9], measured)
+
+
 def test_channels_are_positions_then_roll_pitch_yaw(rng):
     """The order of all pose arrays; the state has pitch, yaw, roll."""
     t, pose = noisy(rng, 10.0, SIGMA * 1e-3)

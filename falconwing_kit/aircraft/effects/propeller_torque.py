@@ -1,15 +1,22 @@
 """Propeller torque: rolling and yawing moment in proportion to thrust."""
 
+from functools import cache
 from typing import Any
 
-from falconwing_kit.aircraft.effect import Effect, draw_direction
-from falconwing_kit.aircraft.terms import Flow, Loads, Parameter
+from falconwing_kit.aircraft.effect import Effect, LoadsFunction, draw_direction
+from falconwing_kit.aircraft.terms import Flow, Loads, Parameter, Term, propeller_loads
 
 
-def propeller_torque(air: Flow, K: Any) -> Loads:
+@cache  # one function per tuple of terms: a model with it is compiled and looked up once
+def propeller_torque(terms: tuple[Term, ...]) -> LoadsFunction:
     """dp/dt = torque_roll T/m, dr/dt = torque_yaw T/m [Phillips, Mechanics of Flight, ch. 2]."""
-    thrust = (K.kT - K.kTV * air.airspeed) * air.throttle
-    return 0.0, 0.0, 0.0, K.torque_roll * thrust, 0.0, K.torque_yaw * thrust
+    loads = propeller_loads(terms)
+
+    def torque(air: Flow, K: Any) -> Loads:
+        T = loads(air, K)[0]
+        return 0.0, 0.0, 0.0, K.torque_roll * T, 0.0, K.torque_yaw * T
+
+    return torque
 
 
 EFFECTS = (
@@ -21,7 +28,8 @@ EFFECTS = (
             Parameter("torque_yaw", 0.05, -5.0, 5.0, "1/m", "yawing moment per thrust"),
         ),
         equation="dp/dt -> dp/dt + {torque_roll} T/m, dr/dt -> dr/dt + {torque_yaw} T/m",
-        loads=propeller_torque,
+        loads_of=propeller_torque,
+        of_propeller=True,
         acts_on=("roll", "yaw"),
         same_form=("roll moment with throttle", "yaw moment with throttle"),
         separated_by={"throttle steps": "only thrust rolls and yaws the aircraft then"},
