@@ -391,7 +391,7 @@ def make_pilot(fly: Fly, task: Any, model: "Model | None") -> "Callable[[TrialSe
 
     The expert is the task's own.
     """
-    if fly.pilot == "expert":
+    if fly.pilot == "expert" and fly.weights is None:
         return task.expert if model is None else partial(task.expert, model=model)
     pilot = load_pilot(
         fly.pilot, fly.task, _trained_scene(fly._scene), fly._setting().camera,
