@@ -241,6 +241,7 @@ class Room:
         number = message.get("client")
         if session is None:
             return
+        flew = self.hands.holder == "student"
         if kind == "give" and isinstance(number, int) and number in self.names:
             self._leave_queue(number)
             self.hands.give(number, self.names[number])
@@ -258,6 +259,8 @@ class Room:
             session.request(kind)
         else:
             client.counts["not understood"] += 1
+        if flew and self.hands.holder != "student":
+            session.request("step")  # the student's command acts no longer than that takes
         self._send_who()
 
     def _ask_gap(self, client: Client, number: Any) -> None:

@@ -79,7 +79,7 @@ class Demo:
             progress("approach through the hall")
             approach = self._fly(hall, live)
             if not self.json:
-                end = "landed on the pad" if approach.result["success"] else approach.flight.reason
+                end = "landed on the pad" if approach.result["success"] else approach.end
                 progress.write(f"approach through the splat hall, SIMULATED: {end}\n")
             found = study_recorded_flights(progress)
             progress("page and figures")
