@@ -16,7 +16,7 @@ import pytest
 from tests.benchmarks.bench_rollouts import machine
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
-TRIALS, ROUNDS, WANTED = 400, 3, 1.8  # a process takes two seconds to start, a landing 0.25
+TRIALS, ROUNDS, WANTED = 60, 2, 1.8  # each run's seconds are bounded by what CI's machines take
 CODE = "import sys; from falconwing_kit.tools.cli.main import main; sys.exit(main(sys.argv[1:]))"
 VERB = ["fly", "--headless", "--no-render", "--json", "--trials", str(TRIALS)]
 

@@ -6,6 +6,7 @@ sticks, so there are no seats and no desk.
 
 import gzip
 import tempfile
+import threading
 import time
 import warnings
 import webbrowser
@@ -27,6 +28,7 @@ from falconwing_kit.tools.classroom.scene_file import scene_bytes
 from falconwing_kit.tools.classroom.server import Server
 from falconwing_kit.tools.classroom.session import STRETCH
 
+REPEAT_S = 0.3  # without a step, after which the newest is sent again
 LEFT_S = 5.0  # without a browser, after which a page that is kept is closed
 NO_POSE = State.from_vector(np.full(9, np.nan))
 WALL, PLAYER = "wall.html", "flight.html"
@@ -70,6 +72,10 @@ class FlightPage:
         self._last: tuple[LoopStep, State] | None = None
         self._times: deque[float] = deque(maxlen=21)  # real times of the newest steps [s]
         self._image: Image | None = None
+        self._shown_at, self._flags = 0.0, 0
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._repeat, name="flight page", daemon=True)
+        self._thread.start()
 
     def __enter__(self) -> "FlightPage":
         return self
@@ -79,6 +85,8 @@ class FlightPage:
 
     def close(self) -> None:
         """End the server."""
+        self._closing.set()
+        self._thread.join()
         self._server.close()
         self._room.close()
         self._folder.cleanup()
@@ -123,23 +131,25 @@ class FlightPage:
             self._phases.append(step.mode)
             self._publish_flight()
         state = NO_POSE if step.state is None else step.state
-        self._last = step, state
+        self._last, self._flags, self._shown_at = (step, state), 0, time.monotonic()
         self._times.append(time.perf_counter())
-        self._send(0)
+        self._send()
         if step.image is not None and step.image is not self._image:
             self._image = step.image
-            if self._server.wants_pictures():
-                picture = step.image.jpeg
-                self._server.send_picture(
-                    channel.pack_picture(self._number, step.image.sequence, picture)
-                )
+            self._send_picture()
 
-    def keep(self, verdict: str, success: bool | None = None) -> None:
-        """Show a verdict, and return when Ctrl-C is pressed or no browser shows the page."""
+    def say(self, verdict: str, success: bool | None = None) -> None:
+        """Show a verdict; None for neither success nor failure."""
         self._room.text(
             "verdict", flight=max(self._number, 1), sentence=verdict, success=success, numbers={},
             holders=[], logged=None, again=bool(self._room.records),
         )  # fmt: skip
+        self._flags = channel.OVER
+        self._send()
+
+    def keep(self, verdict: str, success: bool | None = None) -> None:
+        """Show a verdict, and return when Ctrl-C is pressed or no browser shows the page."""
+        self.say(verdict, success)
         self.wait(ends_alone=True)
 
     def wait(self, *, ends_alone: bool = False) -> None:
@@ -148,9 +158,14 @@ class FlightPage:
         with suppress(KeyboardInterrupt):
             while not ends_alone or time.monotonic() - seen < LEFT_S:
                 seen = time.monotonic() if self._server.clients else seen
-                if self._last is not None:
-                    self._send(channel.OVER)
-                time.sleep(0.2)
+                time.sleep(0.1)
+
+    def _repeat(self) -> None:
+        """While nothing moves, show the newest step to a browser that has just come."""
+        while not self._closing.wait(REPEAT_S):
+            if time.monotonic() - self._shown_at > REPEAT_S:
+                self._send()
+                self._send_picture()
 
     def _publish_flight(self) -> None:
         self._room.text(
@@ -158,11 +173,18 @@ class FlightPage:
             manoeuvre="",
         )  # fmt: skip
 
-    def _send(self, flags: int) -> None:
+    def _send_picture(self) -> None:
+        if self._image is not None and self._server.wants_pictures():
+            jpeg = self._image.jpeg
+            self._server.send_picture(
+                channel.pack_picture(self._number, self._image.sequence, jpeg)
+            )
+
+    def _send(self) -> None:
         """Send the newest step."""
         if self._last is None:
             return
-        step, state = self._last
+        (step, state), flags = self._last, self._flags
         spent = self._times[-1] - self._times[0]
         rate = (len(self._times) - 1) / spent if spent > 0.0 else 0.0
         is_late = len(self._times) > 5 and rate * STRETCH * CONTROL_PERIOD_S < 1.0
