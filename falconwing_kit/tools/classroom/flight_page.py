@@ -49,7 +49,7 @@ class FlightPage:
             page: WALL for a flight as it goes, PLAYER for the flight of `add_log`.
             task: what is flown, as the page names it.
             simulated: whether the page says SIMULATION, or REAL AIRCRAFT.
-            has_poses: whether poses are known; else the page shows the camera's pictures.
+            has_poses: whether poses are known; else it is the replay of a log of pictures.
 
         Raises:
             InputError: the port is not in 1024..65000, or none of ten is free.
@@ -61,6 +61,8 @@ class FlightPage:
             Hands(), lambda: None, scene, lambda: self._packed, Path(self._folder.name),
             school=False, simulated=simulated, has_poses=has_poses,
         )  # fmt: skip
+        if not has_poses:
+            self._room.hands.end()  # nobody holds the sticks of a flight that is over
         self._room.preparing(0.0, "the hall is being prepared")
         self._server = Server(self._room, port=wanted, pages={"/": page}, roles=("wall",))
         self._room.server = self._server

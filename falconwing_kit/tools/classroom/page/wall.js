@@ -68,7 +68,7 @@ class Wall {
     channel.on("error", (message) => this.showEvent({ text: message.text }));
     channel.on("state", (state) => {
       this.state = state;
-      this.charts.add(state);
+      if (state.pose.every(Number.isFinite)) this.charts.add(state);
       this.showTime(state);
       if (!this.drawn) {
         this.drawn = true; // one drawing a frame, however many states arrive
