@@ -23,7 +23,6 @@ ALONE = {
     "tools/cli/test_fly_aircraft.py": "a board and a camera in real time",
     "tools/classroom/test_share.py": "a browser",
     "tools/demo/test_alfa_gap.py": "the long demo that README's test runs too: once in one process",
-    "tools/demo/test_live_page.py": "a page's server and its browsers",
     "tools/demo/test_recorded.py": "the same demo",
     "firmware/test_ros_latency.py": "from image to pulses in real time",
     "tools/bridge/test_bag.py": "ROS plays a flight in real time",

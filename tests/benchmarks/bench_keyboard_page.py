@@ -24,6 +24,7 @@ from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.messages import CONTROL_PERIOD_S
 from tests.benchmarks.keyboard_pilot import KeyboardPilot, Shown
 from tests.chromium import headless_chromium
+from tests.tools.classroom.stick_keys import key_step
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(900)]
 FLIGHTS = 10
@@ -32,6 +33,16 @@ KEYS = {
     ("aileron", 1): "ArrowRight", ("aileron", -1): "ArrowLeft", ("elevator", 1): "ArrowDown",
     ("elevator", -1): "ArrowUp", ("throttle", 1): "KeyW", ("throttle", -1): "KeyS",
 }  # fmt: skip
+PAD_SCRIPT = """
+globalThis.pad = null;
+navigator.getGamepads = () => [globalThis.pad, null, null, null];
+globalThis.setPad = (axes, held) => {
+  const button = (_, i) => ({ pressed: held && i === 5, value: Number(held && i === 5) });
+  const buttons = Array.from({ length: 17 }, button);
+  const pad = { connected: true, id: "test pad", index: 0, mapping: "standard" };
+  globalThis.pad = { ...pad, axes, buttons };
+};
+"""
 WATCH = """() => {
   globalThis.seen = { states: [], verdict: null, at: 0 };
   const channel = globalThis.classroomPage.channel;
@@ -59,15 +70,21 @@ class Class:
         ]  # fmt: skip
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         address = [self.process.stdout.readline() for _ in range(4)][1]
-        self.page = browser.new_page(viewport={"width": 1280, "height": 800})
-        kept = json.dumps(json.dumps({"assist": assist}))
-        self.page.add_init_script(f"localStorage.setItem('falconwing.sticks', {kept})")
-        self.page.goto(re.search(r"http\S+", address)[0])
-        self.page.wait_for_selector("html[data-connected=true]")
-        assert self.page.evaluate("globalThis.classroomPage.settings.assist") == assist
-        self.page.evaluate(WATCH)
-        self.page.fill("#name", "Ada")
-        self.page.click("#ask")
+        self._browser, self._address = browser, re.search(r"http\S+", address)[0]
+        self.page = self.seat("Ada", assist)
+
+    def seat(self, name: str, assist: bool, script: str = "", **settings: float) -> Any:
+        """A seat that asks for the sticks, with these settings of the sticks."""
+        page = self._browser.new_page(viewport={"width": 1280, "height": 800})
+        kept = json.dumps(json.dumps({"assist": assist, **settings}))
+        page.add_init_script(f"localStorage.setItem('falconwing.sticks', {kept});{script}")
+        page.goto(self._address)
+        page.wait_for_selector("html[data-connected=true]")
+        assert page.evaluate("globalThis.classroomPage.settings.assist") == assist
+        page.evaluate(WATCH)
+        page.fill("#name", name)
+        page.click("#ask")
+        return page
 
     def close(self) -> None:
         """End the class."""
@@ -78,18 +95,65 @@ class Class:
             self.process.kill()
 
 
-def land(page: Any, assist: bool, after: int) -> tuple[int, bool, str, float]:
-    """Number, success and sentence of the next flight that is flown from its beginning, and the
-    share of its states in which the student held the sticks.
+class Keyboard:
+    """The keys of a page."""
+
+    def __init__(self, page: Any) -> None:
+        self._page, self._down = page, set[str]()
+
+    def hold(self, on: bool) -> None:
+        """Press or release the hold button."""
+        (self._page.keyboard.down if on else self._page.keyboard.up)("Space")
+
+    def press(self, keys: dict[str, int]) -> None:
+        """Hold down these keys and no others: sticks and their sides."""
+        wanted = {KEYS[stick, side] for stick, side in keys.items()}
+        for key in self._down - wanted:
+            self._page.keyboard.up(key)
+        for key in wanted - self._down:
+            self._page.keyboard.down(key)
+        self._down = wanted
+
+
+class Gamepad:
+    """A synthetic gamepad whose sticks go where a key would take them; a page with PAD_SCRIPT and
+    neither dead band nor expo.
     """
-    pilot, down, number, held = KeyboardPilot(LandingPad(), assist), set(), 0, []
+
+    def __init__(self, page: Any) -> None:
+        self._page, self._is_held, self._at = page, False, time.monotonic()
+        self._sticks = {"throttle": 0.5, "aileron": 0.0, "elevator": 0.0, "rudder": 0.0}
+
+    def hold(self, on: bool) -> None:
+        """Press or release a shoulder button."""
+        self._is_held = on
+        self._show()
+
+    def press(self, keys: dict[str, int]) -> None:
+        """Move the sticks on."""
+        now = time.monotonic()
+        self._sticks, self._at = key_step(self._sticks, keys, now - self._at), now
+        self._show()
+
+    def _show(self) -> None:
+        sticks = self._sticks
+        axes = [sticks["rudder"], 0.0, sticks["aileron"], sticks["elevator"]]
+        self._page.evaluate("([axes, held]) => setPad(axes, held)", [axes, self._is_held])
+
+
+def land(page: Any, assist: bool, after: int, hand: Any = None) -> tuple[int, bool, str, float]:
+    """Number, success and sentence of the next flight that is flown from its beginning, and the
+    share of its states in which the student held the sticks; hand: None for the keyboard.
+    """
+    hand = hand or Keyboard(page)
+    pilot, number, held = KeyboardPilot(LandingPad(), assist), 0, []
     t, end = 0.0, time.monotonic() + 120.0
     while time.monotonic() < end:
         states, verdict, age, is_holding = page.evaluate(LOOK)
         if not number and not is_holding:  # a button counts from when the sticks are given
-            page.keyboard.up("Space")
+            hand.hold(False)
             time.sleep(0.2)
-            page.keyboard.down("Space")
+            hand.hold(True)
             time.sleep(0.2)
         for flight, t_state, x, y, z, roll, _, _, throttle, over, is_held in states:
             if flight > after and not number and t_state < 0.2 and not over:
@@ -100,20 +164,12 @@ def land(page: Any, assist: bool, after: int) -> tuple[int, bool, str, float]:
                 held.append(is_held)
         if number and verdict and verdict[0] == number:
             break
-        wanted = set()
-        if number:
-            keys = pilot.keys(t + min(age, CONTROL_PERIOD_S))
-            wanted = {KEYS[stick, side] for stick, side in keys.items()}
-        for key in down - wanted:
-            page.keyboard.up(key)
-        for key in wanted - down:
-            page.keyboard.down(key)
-        down = wanted
+        hand.press(pilot.keys(t + min(age, CONTROL_PERIOD_S)) if number else {})
         time.sleep(0.005)
     else:
         raise AssertionError("no flight ended")
-    for key in (*down, "Space"):
-        page.keyboard.up(key)
+    hand.press({})
+    hand.hold(False)
     return *verdict, float(np.mean(held))
 
 

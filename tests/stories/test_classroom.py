@@ -17,8 +17,10 @@ from typing import Any
 import pytest
 
 from falconwing_kit.core.flight_log import read_flight_log
+from tests.benchmarks.bench_keyboard_page import PAD_SCRIPT, Class, Gamepad, Keyboard, land
 from tests.chromium import headless_chromium
 
+TRIES = 3  # to land
 PATIENCE_S = 90.0  # for anything to happen, on a busy machine
 # Drawing the hall by software would keep both cores busy; other tests draw it.
 FLAGS = ["--disable-3d-apis"]
@@ -149,6 +151,31 @@ def test_a_class(school, tmp_path):
     assert holders.index(("student", "Mia")) < holders.index(("student", "Ben"))
     reasons = " ".join(str(event.details["reason"]) for event in events)
     assert "teacher" in reasons and "no sticks from Mia" in reasons
+
+
+def test_landings_by_keyboard_and_by_gamepad():
+    """With the beginner's assist each lands on the pad by the task's own judge, the sticks in hand
+    for more than nine tenths of the flight; three tries each, for a busy machine loses key presses.
+    """
+    with headless_chromium(FLAGS) as browser:
+        school = Class(browser, assist=True, seed=8)
+        try:
+            number = 0
+            for hand in (Keyboard, Gamepad):
+                page = school.page
+                if hand is Gamepad:
+                    page.close()
+                    page = school.seat("Ben", True, PAD_SCRIPT, deadBand=0.0, expo=0.0)
+                tries = []
+                for _ in range(TRIES):
+                    number, success, sentence, held = land(page, True, number, hand(page))
+                    tries.append((success, held, sentence))
+                    if success and held > 0.9:
+                        break
+                else:
+                    raise AssertionError(f"{hand.__name__} never landed: {tries}")
+        finally:
+            school.close()
 
 
 def _download(seat: str, address: str, path: Path) -> Path:

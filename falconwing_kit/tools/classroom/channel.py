@@ -25,6 +25,7 @@ HOLDERS = ("nobody", "autopilot", "student", "safe")  # index: the byte in STATE
 LEADER, PAUSED, STRETCHED, OVER, PORT, ASSIST = 1, 2, 4, 8, 16, 32
 HOLD, WANTS_ASSIST = 1, 2  # flags of STICKS
 MAX_TEXT = 4096  # bytes of a JSON message from a client; the longest of the protocol has about 100
+MAX_DIGITS = 15  # of an integer: below 2^53
 MAX_DEPTH = 8  # of nested brackets, checked before parsing
 
 
@@ -135,12 +136,17 @@ def read_text(text: str) -> dict[str, Any] | None:
     if len(text) > MAX_TEXT or text.count("{") + text.count("[") > MAX_DEPTH:
         return None
     try:
-        message = json.loads(text, parse_constant=lambda name: None)
+        message = json.loads(text, parse_constant=lambda name: None, parse_int=_read_int)
     except (ValueError, RecursionError):
         return None
     if not isinstance(message, dict) or not isinstance(message.get("type"), str):
         return None
     return message
+
+
+def _read_int(digits: str) -> int | None:
+    """An integer that a float holds exactly; None for a longer one."""
+    return int(digits) if len(digits) <= MAX_DIGITS else None
 
 
 def write_text(kind: str, **fields: Any) -> str:

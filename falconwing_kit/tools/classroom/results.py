@@ -154,6 +154,14 @@ def judge(record: FlightRecord) -> Verdict:
     flight = refly(record)
     if flight.refused:
         return Verdict(flight.refused, None, _flown_numbers(flight), (), False)
+    why = next(
+        (str(e.details.get("reason", "")) for e in flight.events if e.name == "handed back"), ""
+    )
+    return _with_hand_back(_judged(flight), why)
+
+
+def _judged(flight: Reflight) -> Verdict:
+    """The verdict of the task's own judge."""
     seconds = _duration(flight)
     if flight.task == "landing":
         pad, height = flight.pad or LandingPad(), float(flight.states[-1, 2])
@@ -339,6 +347,7 @@ def event_text(event: Event) -> str:
         "mode": str(says("mode", "")),
         "ended": f"end: {reason}" if reason else "end",
         "pilot failed": "the pilot failed: sticks neutral, motor idle",
+        "handed back": f"the supervisor handed back: {reason}",
         "interrupted": "stopped",
         "pause": "paused" if says("on", True) else "goes on",
         "speed": f"time runs {says('value', 1.0)} times",
@@ -550,8 +559,9 @@ def _holders(
 
 
 def live_verdict(
-    task: FlightTask, trial: TrialSetup, result: Mapping[str, Any], reason: str = ""
-) -> Verdict:
+    task: FlightTask, trial: TrialSetup, result: Mapping[str, Any], reason: str = "",
+    handed_back: str = "",
+) -> Verdict:  # fmt: skip
     """The verdict right after a flight, in the words of `judge`.
 
     Args:
@@ -559,7 +569,22 @@ def live_verdict(
         trial: its world, after the flight.
         result: of the task's judge.
         reason: why the loop ended; where it is "pilot failed" the sentence says so.
+        handed_back: the supervisor's reason; empty where it found no fault.
     """
+    return _with_hand_back(_live_verdict(task, trial, result, reason), handed_back)
+
+
+def _with_hand_back(verdict: Verdict, why: str) -> Verdict:
+    """A flight that the supervisor ended is no success, and the verdict says why."""
+    if not why:
+        return verdict
+    sentence = f"{verdict.sentence}; the supervisor handed back: {why}"
+    return replace(verdict, sentence=sentence, success=False)
+
+
+def _live_verdict(
+    task: FlightTask, trial: TrialSetup, result: Mapping[str, Any], reason: str
+) -> Verdict:
     contact, seconds = trial.world.contact, trial.world.t + CONTROL_PERIOD_S
     if trial.leader is not None:
         return _follow_verdict(contact, result, contact.t if contact else seconds)

@@ -58,6 +58,9 @@ class Room:
     folder: Path  # of the logs
     server: Server | None = None  # set before the server starts
     session: Session | None = None  # set before it runs
+    school: bool = True  # whether there are seats; else a page shows flights only
+    simulated: bool = True
+    has_poses: bool = True  # else the pages show the camera's pictures
     names: dict[int, str] = field(default_factory=dict)
     queue: list[int] = field(default_factory=list)  # clients that asked for the sticks
     records: dict[int, FlightRecord] = field(default_factory=dict)
@@ -98,7 +101,7 @@ class Room:
             self._last[kind] = fields
         if kind == "flight":
             self._last.pop("verdict", None)
-            if fields["number"] == 1:
+            if fields["number"] == 1 and self.school:
                 self._worker.submit(self._warm)
             self._who |= {"holder": self.hands.holder}
             self._send_who()
@@ -241,6 +244,7 @@ class Room:
         number = message.get("client")
         if session is None:
             return
+        flew = self.hands.holder == "student"
         if kind == "give" and isinstance(number, int) and number in self.names:
             self._leave_queue(number)
             self.hands.give(number, self.names[number])
@@ -258,6 +262,8 @@ class Room:
             session.request(kind)
         else:
             client.counts["not understood"] += 1
+        if flew and self.hands.holder != "student":
+            session.request("step")  # the student's command acts no longer than that takes
         self._send_who()
 
     def _ask_gap(self, client: Client, number: Any) -> None:
@@ -315,7 +321,8 @@ class Room:
         mount = task.airframe.p_body_camera if task is not None else (0.2, 0.0, 0.0)
         return write_text(
             "hello", client=client.number, role=client.role, name=client.name, scene=self.scene,
-            task=task.name if task is not None else "", simulated=True,
+            task=task.name if task is not None else "",
+            simulated=self.simulated, school=self.school, has_poses=self.has_poses,
             scene_url=SCENE_URL if scene is not None else None,
             scene_bytes=len(scene) if scene is not None else 0,
             pad={

@@ -16,7 +16,7 @@ import secrets
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
@@ -125,6 +125,7 @@ class Server:
     def __init__(
         self, room: Class, *, host: str = LOCAL, port: int = 8080, lan: bool = False,
         key: str = "", token: str = "", page: Path = PAGE,
+        pages: Mapping[str, str] = PAGES, roles: Sequence[str] = ROLES,
     ) -> None:  # fmt: skip
         """Prepare a server.
 
@@ -136,6 +137,7 @@ class Server:
             key: the teacher's; "" for a new one.
             token: "" for a new one of 128 bits.
             page: folder of the static files.
+            pages: paths and their files; roles: of pages that may connect.
 
         Raises:
             InputError: the port is out of its range, or a local server is bound to another address.
@@ -147,6 +149,7 @@ class Server:
                 f"host: expected {LOCAL} without --lan, got {host}; add --lan to let others in"
             )
         self.host, self.port, self.lan, self._page = host, port, lan, page
+        self._pages, self._roles = pages, roles
         self.key = key or secrets.token_urlsafe(9)
         self.token = token or secrets.token_urlsafe(16)
         self.clients: dict[int, Client] = {}
@@ -308,7 +311,7 @@ class Server:
         return _same(key, self.key)
 
     def _refuse_client(self, role: str, address: str) -> str:
-        if role not in ROLES:
+        if role not in self._roles:
             return "role"
         per_address = MAX_PER_ADDRESS if self.lan else LOCAL_PER_ADDRESS
         same = sum(client.address == address for client in self.clients.values())
@@ -318,8 +321,8 @@ class Server:
         return ""
 
     async def _file(self, path: str) -> Response:
-        if path in PAGES or path.startswith("/page/"):
-            name = PAGES.get(path) or path.removeprefix("/page/")
+        if path in self._pages or path.startswith("/page/"):
+            name = self._pages.get(path) or path.removeprefix("/page/")
             file = self._page / name
             if "/" in name or name.startswith(".") or not file.is_file():
                 return _response(HTTPStatus.NOT_FOUND)

@@ -41,6 +41,7 @@ from falconwing_kit.tools.classroom.results import (
     live_verdict,
     model_with_effects,
 )
+from falconwing_kit.tools.classroom.supervise import AutopilotSupervisor
 
 FOLLOWED = "figure_eight"  # manoeuvre of a class where none is named: the longest
 LONGEST_FLIGHT_S = 120.0  # of a landing, laps included
@@ -90,13 +91,14 @@ class SessionSettings:
 class ClassClock:
     """Real time without dropped steps, which can be slowed, hastened and stopped while it runs.
 
-    A late step delays all that follow, as with `PacedClock`; `stretch` is by how much.
+    A late step delays all that follow, as with `PacedClock`; `stretch` is by how much. A hurried
+    step comes at once, so that all that follow come up to a period earlier.
     """
 
     def __init__(self, on_wait: Callable[[], None] = lambda: None) -> None:
         """on_wait: called while time stands still, every IDLE_PERIOD_S."""
         self.speed, self.paused, self._on_wait = 1.0, False, on_wait
-        self.ended = threading.Event()
+        self.ended, self._hurried = threading.Event(), threading.Event()
         self._t, self._due = 0.0, time.perf_counter()
         self._recent: deque[tuple[float, float]] = deque(maxlen=1000)  # real time, delay [s]
 
@@ -115,11 +117,17 @@ class ClassClock:
             while self.paused and not self.ended.wait(IDLE_PERIOD_S):
                 self._on_wait()
             due = now = time.perf_counter()
+            self._hurried.clear()
         self._recent.append((now, max(now - due, 0.0)))
         self._due = max(due, now)
         self._t = max(self._t, t)
-        if (left := self._due - now) > 0.0:
-            time.sleep(left)
+        if (left := self._due - now) > 0.0 and self._hurried.wait(left):
+            self._due = time.perf_counter()
+        self._hurried.clear()
+
+    def hurry(self) -> None:
+        """End the present wait, from any thread: the next step is due at once."""
+        self._hurried.set()
 
     def stretch(self) -> float:
         """Real time over the time that the steps of the last second should have taken, >= 1."""
@@ -177,10 +185,14 @@ class Session:
         """Ask for something between two steps.
 
         Args:
-            what: "pause", "speed", "restart", "effect", "task", "record", "end" or "again".
+            what: "pause", "speed", "restart", "effect", "task", "record", "end" or "again"; "step"
+                for the next step at once.
             value: bool for pause and record, the factor of time for speed, (name, bool) for an
                 effect, (task, manoeuvre) for a task.
         """
+        if what == "step":
+            self.clock.hurry()
+            return
         if what == "end":
             self._ended.set()
             self.clock.ended.set()
@@ -257,6 +269,7 @@ class Session:
             camera = fpv_camera()
             judge = task.judge(trial, camera, None)
             pilot = ClassPilot(self, trial, self._autopilot(trial))
+            supervisor = self._supervisor(pilot)
             effects = tuple(self._active)
             self._start_effects()
             self._publish_flight(trial)
@@ -264,7 +277,7 @@ class Session:
                 self._wait_for_student(trial)
             loop = Loop(
                 pilot, world, view, MeasuredStates(world), trial.leader,
-                self._make_clock(self), self.log, (self._show,),
+                self._make_clock(self), self.log, (self._show,), supervisor,
             )  # fmt: skip
 
             def watch(step: LoopStep) -> str:
@@ -272,7 +285,9 @@ class Session:
 
             flight = loop.run(trial.duration, watch)
             self._hands_events(self._t)
-        reason = flight.reason
+        reason, handed_back = flight.reason, supervisor.reason if supervisor is not None else ""
+        if handed_back:
+            self._say(self._t, "handed back", f"The supervisor handed back: {handed_back}.")
         self._logs.append((path, self.recording))
         self._forget_old_logs()
         record = FlightRecord(
@@ -288,7 +303,7 @@ class Session:
                 text=f"Flight {self.flight_number} was ended: {self._stop_reason}.",
             )  # fmt: skip
             return
-        verdict = live_verdict(task, trial, judge.result(), reason)
+        verdict = live_verdict(task, trial, judge.result(), reason, handed_back)
         self._publisher.text(
             "verdict", flight=self.flight_number, sentence=verdict.sentence,
             success=verdict.success, numbers=verdict.numbers, holders=list(self._names),
@@ -347,6 +362,13 @@ class Session:
         if scene is None:
             raise InputError("scene: the class ended before it was there")
         return RenderedView(world, scene, fpv_camera(), self._task.airframe.p_body_camera)
+
+    def _supervisor(self, pilot: "ClassPilot") -> AutopilotSupervisor | None:
+        """Over the autopilot; None without one."""
+        autopilot = PILOTS.get(self.settings.pilot)
+        if autopilot is None or self.settings.pilot == "manual":
+            return None
+        return AutopilotSupervisor(lambda: pilot.student_flies, by_images=not autopilot.reads_state)
 
     def _autopilot(self, trial: TrialSetup) -> Callable[[bool], Pilot] | None:
         """What makes the autopilot, at the start or (True) where a student hands back."""
@@ -546,7 +568,7 @@ class ClassPilot:
     ) -> None:
         self.mode, self._session, self._trial, self._make = "", session, trial, make
         self._autopilot = None if make is None else make(False)
-        self._was_student = False
+        self.student_flies = False  # in the present step
 
     def act(self, observation: Observation) -> Command:
         """The command of whoever holds the sticks."""
@@ -555,14 +577,14 @@ class ClassPilot:
         session.hands.tick(envelope_problem(truth, is_landing=self._trial.leader is None))
         session.begin_step(observation.t)
         if session.hands.holder == "student":
-            self._was_student = True
+            self.student_flies = True
             self.mode = ASSISTED if session.hands.assisted else STUDENT
             return session.hands.command(observation)
         if self._make is None or self._autopilot is None:
             self.mode = SAFE
             return SAFE_COMMAND
-        if self._was_student:
-            self._was_student = False
+        if self.student_flies:
+            self.student_flies = False
             self._autopilot = self._make(True)
         command = self._autopilot.act(observation)
         self.mode = str(getattr(self._autopilot, "mode", ""))

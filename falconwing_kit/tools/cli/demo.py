@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from falconwing_kit.scene.gaussians import GaussianScene
+    from falconwing_kit.tools.classroom.flight_page import FlightPage
     from falconwing_kit.tools.demo.approach import Approach
-    from falconwing_kit.tools.demo.live_page import LivePage
 
 BROWSER_S = 8.0  # a browser's time to show the page before the flight begins
 STAGES = (  # begin of a stage's name, and the share of the whole before it, measured on two cores
@@ -78,8 +78,11 @@ class Demo:
         ):
             progress("approach through the hall")
             approach = self._fly(hall, live)
+            if live is not None:
+                live.add_log(approach.log)
+                live.say(_verdict(approach), bool(approach.result["success"]))
             if not self.json:
-                end = "landed on the pad" if approach.result["success"] else approach.flight.reason
+                end = "landed on the pad" if approach.result["success"] else approach.end
                 progress.write(f"approach through the splat hall, SIMULATED: {end}\n")
             found = study_recorded_flights(progress)
             progress("page and figures")
@@ -97,16 +100,16 @@ class Demo:
             webbrowser.open(page.as_uri())
         return 0
 
-    def _open_page(self) -> "LivePage":
+    def _open_page(self) -> "FlightPage":
         """Serve the live page, before the steps that take long."""
-        from falconwing_kit.tools.demo.live_page import LivePage
+        from falconwing_kit.tools.classroom.flight_page import FlightPage
 
-        live = LivePage(port=self.port)
+        live = FlightPage(self.scene, self.port, task="landing")
         if not self.json:
             print(f"live page: {live.url}", flush=True)
         return live
 
-    def _fly(self, hall: "Callable[[], GaussianScene]", live: "LivePage | None") -> "Approach":
+    def _fly(self, hall: "Callable[[], GaussianScene]", live: "FlightPage | None") -> "Approach":
         """Fly the approach, in real time if there is a live page."""
         from falconwing_kit.flight.loop import PacedClock
         from falconwing_kit.tools.cli.scene_input import open_link
@@ -123,6 +126,12 @@ class Demo:
         return fly_approach(
             scene, log, (live.show,), PacedClock(), link=link, scene_name=self.scene
         )
+
+
+def _verdict(approach: "Approach") -> str:
+    if approach.result["success"]:
+        return f"landed {100.0 * approach.result['ald_m']:.0f} cm from the centre line"
+    return f"did not land: {approach.end}"
 
 
 def _print_record(record: dict) -> None:

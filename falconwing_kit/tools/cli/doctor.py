@@ -306,10 +306,10 @@ def _rendering() -> str:
 def _page() -> str:
     import socket
 
-    import viser
+    import websockets
 
     with socket.create_server(("127.0.0.1", 0)):
-        return f"viser {viser.__version__}; this machine serves pages to itself"
+        return f"websockets {websockets.__version__}; this machine serves pages to itself"
 
 
 def _gpu() -> str:

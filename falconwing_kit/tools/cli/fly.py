@@ -323,7 +323,7 @@ class Fly:
         from falconwing_kit.tools.trials.trials import fly_trials
 
         with (
-            _page(hall, self.headless, not self.no_render) as (scene, hooks, keep),
+            _page(self, hall) as (scene, hooks, keep),
             self._progress() as progress,
         ):
             setting = replace(
@@ -338,7 +338,7 @@ class Fly:
                 fly=partial(fly_in_processes, self) if self.workers > 1 or self.cluster else None,
             )  # fmt: skip
 
-            keep(_verdict(records))
+            keep(records)
             return records
 
     @property
@@ -572,17 +572,19 @@ def hall_loader(name: str) -> "Callable[[], GaussianScene]":
 
 @contextmanager
 def _page(
-    hall: "Callable[[], GaussianScene]", headless: bool, render: bool
-) -> Iterator[tuple[Any, tuple[Callable[..., None], ...], Callable[[str], None]]]:
-    """The hall, None if nothing is rendered; the live page as a hook, unless headless; and what
-    keeps the page open with a verdict.
+    fly: Fly, hall: "Callable[[], GaussianScene]"
+) -> Iterator[tuple[Any, tuple[Callable[..., None], ...], Callable[[Sequence[Any]], None]]]:
+    """The hall, None if nothing is rendered; the page as a hook, unless headless; and what keeps
+    the page open with the verdict on the records.
     """
-    if headless:
-        yield hall() if render else None, (), lambda verdict: None
+    if fly.headless:
+        yield None if fly.no_render else hall(), (), lambda records: None
         return
-    from falconwing_kit.tools.demo.live_page import LivePage
+    from falconwing_kit.tools.classroom.flight_page import FlightPage
+    from falconwing_kit.tools.trials.trials import log_path
 
-    with LivePage() as page:
+    log = log_path(fly.out, 0) if fly.out is not None and fly.trials == 1 else None
+    with FlightPage(fly._scene, task=fly.task) as page:
         print(f"live page: {page.url}", file=sys.stderr, flush=True)
         opened = page.open()
         scene = hall()
@@ -590,7 +592,7 @@ def _page(
         watched = opened and page.wait_for_viewer(BROWSER_S)
         pace = _Pace()
 
-        def keep(verdict: str) -> None:
+        def keep(records: Sequence[Any]) -> None:
             if pace.stretch > STRETCH_SAID:
                 print(
                     f"time was stretched: a second of the flight took {pace.stretch:.2f} s, for"
@@ -598,10 +600,13 @@ def _page(
                     file=sys.stderr,
                 )
             if watched:
+                verdict = _verdict(records)
                 print(f"{verdict}; the page stays until Ctrl-C", file=sys.stderr, flush=True)
-                page.keep(verdict)
+                if log is not None and log.exists():
+                    page.add_log(log)
+                page.keep(verdict, all(record["success"] for record in records))
 
-        yield scene, (pace, page.show), keep
+        yield None if fly.no_render else scene, (pace, page.show), keep
 
 
 class _Pace:

@@ -1,7 +1,6 @@
-"""falconwing replay: replay a flight log live in the browser, or draw its figures."""
+"""falconwing replay: play a flight log in the browser, or draw its figures."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,8 +12,10 @@ from falconwing_kit.core.messages import CONTROL_PERIOD_S, Command
 from falconwing_kit.tools.cli.show import next_line, print_table
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from falconwing_kit.flight.loop import LoopStep
     from falconwing_kit.flight.sources import RecordedPilot
-    from falconwing_kit.scene.gaussians import GaussianScene
 
 BROWSER_S = 8.0  # a browser's time to show the page before a replay begins
 FIGURES = {
@@ -27,7 +28,11 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class Replay:
-    """Replay a flight log in the browser, repeatedly until Ctrl-C, or draw its figures."""
+    """Show a flight log in the browser until Ctrl-C, with a scrub bar, or draw its figures.
+
+    The page is the classroom's: the flight in its hall, ghost, plots and verdict. A log without
+    poses is shown again and again by its pictures and sticks.
+    """
 
     log: Annotated[Path, tyro.conf.Positional]
     """the flight log (MCAP)"""
@@ -39,10 +44,8 @@ class Replay:
     """folder for the figures of --headless"""
     headless: bool = False
     """write the figures instead of showing the page"""
-    once: bool = False
-    """end after the flight instead of starting again"""
     speed: float = 1.0
-    """speed of replay; 0.25 is slow motion"""
+    """speed of time at first, 0.1 to 4; 0.25 is slow motion"""
     port: int = 8080
     """TCP port of the page; the next free one if it is taken"""
 
@@ -64,28 +67,26 @@ class Replay:
                     f"--out {self.out}: expected a folder, got a file; choose another name"
                 )
             return self._draw()
-        from falconwing_kit.flight.sources import RecordedPilot
-
-        require_range("speed", self.speed, low=0.01, high=100.0)
-        self._show(RecordedPilot(self.log), self._hall())
+        require_range("speed", self.speed, low=0.1, high=4.0)
+        self._show()
         return 0
 
-    def _hall(self) -> "Callable[[], GaussianScene]":
-        """The scene of --scene, else of the log; the arena, and a sentence, where neither helps."""
-        from falconwing_kit.scene.arena import load_scene
+    def _hall(self, named: str) -> str:
+        """--scene, else the scene of the log; the arena, and a sentence, where neither helps."""
         from falconwing_kit.tools.cli.fly import hall_loader
 
         if self.scene:
-            return hall_loader(self.scene)
-        name = read_flight_log(self.log).metadata.get("scene", "")
+            hall_loader(self.scene)
+            return self.scene
         try:
-            if name:
-                return hall_loader(name)
+            if named:
+                hall_loader(named)
+                return named
             why = "the log does not say where it was flown"
         except (InputError, FileNotFoundError):
-            why = f"the log's scene {name!r} is not here"
+            why = f"the log's scene {named!r} is not here"
         print(f"{why}: shown in the arena; --scene NAME or FILE shows another hall", flush=True)
-        return lambda: load_scene("arena")
+        return "arena"
 
     def _draw(self) -> int:
         from falconwing_kit.tools.demo.approach import draw_flight
@@ -97,42 +98,45 @@ class Replay:
         next_line(f"falconwing export {self.log} --out flight.csv")
         return 0
 
-    def _show(self, pilot: "RecordedPilot", hall: "Callable[[], GaussianScene]") -> None:
-        """Run the recorded commands through the kit's own loop, shown on the page only."""
-        from falconwing_kit.flight.loop import Loop, PacedClock
-        from falconwing_kit.flight.sources import RecordedImages, RecordedLeader, RecordedStates
-        from falconwing_kit.tools.demo.approach import is_simulated, mode_at
-        from falconwing_kit.tools.demo.live_page import LivePage
+    def _show(self) -> None:
+        """Serve the player, or the wall where the log has pictures only, until Ctrl-C."""
+        from falconwing_kit.flight.sources import RecordedPilot
+        from falconwing_kit.tools.classroom.flight_page import PLAYER, WALL, FlightPage
+        from falconwing_kit.tools.cli.fly import hall_loader
+        from falconwing_kit.tools.demo.approach import is_simulated
 
         log = read_flight_log(self.log)
-        title = "REPLAY of a SIMULATION" if is_simulated(log) else "REPLAY"
-        page = LivePage(None, self.port, title)
-        print(f"live page: {page.url}   (Ctrl-C ends it)", flush=True)
-        try:
+        has_poses = bool(len(log.states))
+        pilot = None if has_poses else RecordedPilot(self.log)
+        hall = self._hall(log.metadata.get("scene", ""))
+        with FlightPage(
+            hall, self.port, page=PLAYER if has_poses else WALL, task="replay",
+            simulated=is_simulated(log), has_poses=has_poses,
+        ) as page:  # fmt: skip
+            if pilot is None:
+                page.add_log(self.log)
+                page.url += "" if self.speed == 1.0 else f"?speed={self.speed:g}"
+            print(f"page: {page.url}   (Ctrl-C ends it)", flush=True)
             opened = page.open()
-            page.set_scene(hall())
+            page.set_scene(hall_loader(hall)())
+            if pilot is None:
+                page.wait()
+                return
             if opened:
                 page.wait_for_viewer(BROWSER_S)
-            reason = ""
-            while reason != "interrupted":
-                loop = Loop(
-                    pilot,
-                    _NullSink(),
-                    RecordedImages(self.log),
-                    RecordedStates(self.log),
-                    RecordedLeader(self.log),
-                    clock=PacedClock(self.speed),
-                    hooks=(
-                        lambda step: page.show(
-                            replace(step, mode=mode_at(log, step.t) or step.mode)
-                        ),
-                    ),
-                )
-                reason = loop.run(pilot.duration + CONTROL_PERIOD_S).reason
-                if self.once:
-                    break
-        finally:
-            page.close()
+            while self._play(pilot, page.show) != "interrupted":
+                pass
+
+    def _play(self, pilot: "RecordedPilot", show: "Callable[[LoopStep], None]") -> str:
+        """Run the recorded commands through the kit's own loop, for the page only; why it ended."""
+        from falconwing_kit.flight.loop import Loop, PacedClock
+        from falconwing_kit.flight.sources import RecordedImages, RecordedLeader, RecordedStates
+
+        loop = Loop(
+            pilot, _NullSink(), RecordedImages(self.log), RecordedStates(self.log),
+            RecordedLeader(self.log), clock=PacedClock(self.speed), hooks=(show,),
+        )  # fmt: skip
+        return loop.run(pilot.duration + CONTROL_PERIOD_S).reason
 
 
 class _NullSink:

@@ -40,17 +40,20 @@ from falconwing_kit.flight.sources import (
     fpv_camera,
     log_start_time,
 )
+from falconwing_kit.flight.supervisor import Supervisor
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.scene.analog import AnalogVideo
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.bridge.python_board import PythonBoard
 from falconwing_kit.tools.bridge.through_port import PortWorld
+from falconwing_kit.tools.classroom.supervise import PACED_LIMITS
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, figure, render
 
 PART = Path(__file__).with_name("approach.html.j2")
 FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")
 PORT = "sim-python"  # the simulated board of the approach
 CAMERA_PILOT, TRAINED_SCENES = "student", ("hall", "hall_analog")
+HANDED_BACK = "handed back"  # the loop's event where the supervisor found a fault
 PAD_BLUE = "#3d6fd6"
 STRIP_IMAGES = 6  # images in the strip
 FILM_HZ, FILM_COLOURS = 10.0, 256  # about a megabyte
@@ -67,6 +70,12 @@ class Approach:
     result: dict[str, Any]  # of the evaluation: success, ald_m, sink_rate_m_s, ...
     hall: str = ""  # source of the scene
     pilot: str = "expert"
+
+    @property
+    def end(self) -> str:
+        """Why the loop ended, with the supervisor's reason where it handed back."""
+        why = [event.details["reason"] for event in self.flight.events if event.name == HANDED_BACK]
+        return ": ".join([self.flight.reason, *why])
 
 
 def fly_approach(
@@ -120,6 +129,7 @@ def fly_approach(
                 clock=clock or SimulatedClock(),
                 log=writer,
                 hooks=tuple(hooks),
+                supervisor=Supervisor(PACED_LIMITS),
             )
             flight = loop.run(trial.duration, judge.watch)
         if flight.reason == "interrupted":
@@ -372,7 +382,7 @@ def approach_record(approach: Approach) -> dict[str, Any]:
         "made_by": "this kit, SIMULATED",
         "hall": approach.hall,
         "pilot": approach.pilot,
-        "ended": approach.flight.reason,
+        "ended": approach.end,
         "seconds": len(approach.flight.t) * CONTROL_PERIOD_S,
         **result,
     }
@@ -384,7 +394,7 @@ def approach_section(approach: Approach, folder: Path) -> str:
     return render(
         PART,
         result=approach.result,
-        reason=approach.flight.reason,
+        reason=approach.end,
         seconds=approach.flight.t[-1],
         hall=approach.hall,
         pilot=approach.pilot,

@@ -1,13 +1,14 @@
 """The room: names, the queue for the sticks, the teacher's rights, and what a newcomer is sent."""
 
+import itertools
 import json
 from types import SimpleNamespace
 
 import pytest
 
-from falconwing_kit.tools.classroom.channel import SticksMessage
+from falconwing_kit.tools.classroom.channel import SticksMessage, read_text
 from falconwing_kit.tools.classroom.hands import Hands
-from falconwing_kit.tools.classroom.room import Room
+from falconwing_kit.tools.classroom.room import TEACHERS, Room
 from falconwing_kit.tools.classroom.server import Client
 
 
@@ -106,6 +107,41 @@ def test_the_teachers_messages_reach_the_session(room, message, request_):
     room.text_from(desk, message)
     assert room.asked == ([request_] if request_ else [])
     assert desk.counts["not understood"] == (0 if request_ else 1)
+
+
+def test_a_take_back_ends_the_wait_for_the_next_step(room):
+    """Only where a student flew: taken, or given to somebody else."""
+    mia, tom, desk = join(room), join(room), join(room, "desk")
+    ask(room, desk, "take")
+    for kind, client in (("give", tom.number), ("take", 0)):
+        room.asked.clear()
+        ask(room, desk, "give", client=mia.number)
+        for k in range(7):
+            room.sticks(mia, SticksMessage(k > 0, False, k, 0, 0.5, 0.0, 0.0, 0.0))
+        assert room.hands.holder == "student" and room.asked == []
+        ask(room, desk, kind, client=client)
+        assert room.hands.holder == "autopilot" and room.asked == [("step", None)]
+
+
+AWKWARD = (
+    "null", "true", "-1", "1e999", "9" * 400, "1.5", '"\\ud800"', '"' + 300 * "x" + '"', "[]",
+    "[1]", "{}", '{"a":[1]}', "NaN", '"\\u0000\\n"',
+)  # fmt: skip
+KINDS = ("name", "ask", "leave", "assist", "gap", *TEACHERS, "__class__", "")
+
+
+def test_awkward_messages_of_seat_and_desk_raise_nothing(room):
+    """Every kind of message with every awkward value in all its fields: dropped or answered."""
+    pages = (join(room), join(room, "desk"))
+    fields = ("name", "client", "on", "value", "flight", "task", "manoeuvre")
+    heard = 0
+    for page, kind, value in itertools.product(pages, KINDS, AWKWARD):
+        body = ",".join(f'"{field}":{value}' for field in fields)
+        message = read_text(f'{{"type":{json.dumps(kind)},{body}}}')
+        if message is not None:
+            heard += 1
+            room.text_from(page, message)
+    assert heard > 300
 
 
 def test_sticks_without_leave_are_reported_once(room):

@@ -160,7 +160,7 @@ def test_floods_and_half_messages_are_dropped_and_counted(tmp_path):
         flood.recv(PATIENCE_S), pilot.recv(PATIENCE_S)
         for k in range(600):
             flood.send(pack_sticks(k, Command(0.5, 0.0, 0.0, 0.0)))
-        for text in ("{", "[]", '{"type":3}'):
+        for text in ("{", "[]", '{"type":3}', '{"type":"ping","stamp":%s}' % (400 * "9")):
             flood.send(text)
         flood.send(b"\x03half")
         flood.send('{"type":"name","name":"Mia"}')

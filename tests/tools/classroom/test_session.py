@@ -1,6 +1,8 @@
 """The session on simulated time: take-over, silence, effects and the log of a scripted student."""
 
 import math
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.tools.classroom.channel import HOLDERS, SticksMessage, unpack_state
 from falconwing_kit.tools.classroom.envelope import envelope_problem, room_ahead
 from falconwing_kit.tools.classroom.hands import Hands
-from falconwing_kit.tools.classroom.results import model_with_effects
+from falconwing_kit.tools.classroom.results import judge, model_with_effects
 from falconwing_kit.tools.classroom.session import (
     ClassClock,
     Session,
@@ -24,6 +26,7 @@ from falconwing_kit.tools.classroom.session import (
     draw_effect,
     make_task,
 )
+from falconwing_kit.tools.classroom.supervise import AutopilotSupervisor
 
 LEVEL = Command(0.55, 0.01, 0.05, -0.02)
 
@@ -193,6 +196,50 @@ def test_an_autopilot_that_fails_does_not_end_the_class(tmp_path, monkeypatch):
     assert [fields["success"] for fields in script.kinds("verdict")] == [False, False]
 
 
+def test_an_autopilot_that_rolls_over_is_handed_back_and_the_class_goes_on(tmp_path, monkeypatch):
+    """Full aileron: beyond 80 deg of bank the safe command is the last one; log, news and verdict
+    say why, the log judged again says the same, and the next flight begins.
+    """
+    full = Command(0.6, 1.0, 0.1, 0.0)
+    monkeypatch.setattr(
+        "falconwing_kit.tools.classroom.autopilot.LapsAndLanding.act", lambda self, seen: full
+    )
+    script = fly(tmp_path, {}, 2, laps=1)
+    first, second = script.kinds("verdict")
+    assert second["flight"] == 2 and first["success"] is False
+    assert "the supervisor handed back: bank of" in first["sentence"]
+    news = [fields["text"] for fields in script.kinds("event") if fields["name"] == "handed back"]
+    assert len(news) == 2 and "at most 80 allowed" in news[0]
+    log = read_flight_log(script.records[0].log)
+    (event,) = [event for event in log.events if event.name == "handed back"]
+    assert event.details["reason"] in first["sentence"]
+    assert not log.commands[-1].vector.any() and log.commands[-3].aileron == 1.0
+    assert abs(script.states[-1].numbers[3]) > math.radians(80.0)
+    assert judge(script.records[0]).sentence == first["sentence"]
+
+
+def test_the_supervisor_judges_the_autopilot_alone():
+    """A student at 100 deg of bank is the envelope's; the autopilot that takes over there is
+    judged once it was inside 80 deg; the real time of a step is no fault where time stretches.
+    """
+    is_student = [False]
+    supervisor = AutopilotSupervisor(lambda: is_student[0])
+
+    def banked(t, degrees, student, command=LEVEL, pilot_s=0.01):
+        is_student[0] = student
+        state = State.from_vector(
+            np.array([0.0, 0.0, 2.0, 0.0, 0.0, math.radians(degrees), 0.0, 0.0, 0.0])
+        )
+        return supervisor.check(t, command, state, pilot_s)
+
+    turns = ((0, False), (100, True), (100, False), (90, False), (20, False), (70, False))
+    assert [banked(0.05 * k, *turn) for k, turn in enumerate(turns)] == [""] * 6
+    assert banked(0.3, 100, True, command=None) == ""
+    assert banked(0.35, 20, False, pilot_s=5.0) == ""
+    assert "bank of 100 deg" in banked(0.4, 100, False)
+    assert "no finite command" in AutopilotSupervisor(lambda: False).check(0.0, None, None, 0.0)
+
+
 def test_through_the_port_the_board_gets_the_commands(tmp_path):
     """The Python board: the autopilot lands through PPM pulses, and states say that it is there."""
     script = fly(tmp_path, {}, 1, port="sim-python")
@@ -259,8 +306,10 @@ def test_the_clock_of_a_class_slows_pauses_and_says_how_late_it_is(monkeypatch):
     """
     watch, due = [10.0], []
     monkeypatch.setattr("time.perf_counter", lambda: watch[0])
-    monkeypatch.setattr("time.sleep", lambda seconds: watch.append(watch.pop() + seconds))
     clock = ClassClock()
+    monkeypatch.setattr(
+        clock._hurried, "wait", lambda seconds: watch.append(watch.pop() + seconds) or False
+    )
     clock.speed = 0.5
     clock.start()
     for k, work in enumerate((0.0, 0.05, 0.5, 0.0, 0.0)):
@@ -278,6 +327,22 @@ def test_the_clock_of_a_class_slows_pauses_and_says_how_late_it_is(monkeypatch):
     clock._on_wait = on_wait
     clock.wait_until(0.5)
     assert waits == [0.4] * 3 and clock.now() == 0.5
+
+
+def test_a_hurried_step_comes_at_once_and_the_next_a_period_later():
+    """A step due in 5 s is flown when it is hurried, from another thread; the next takes its 0.1 s
+    from there, on the machine's own clock.
+    """
+    clock = ClassClock()
+    clock.start()
+    clock.wait_until(0.0)
+    begin = time.perf_counter()
+    threading.Timer(0.05, clock.hurry).start()
+    clock.wait_until(5.0)
+    hurried = time.perf_counter()
+    assert 0.04 < hurried - begin < 2.0 and clock.now() == 5.0
+    clock.wait_until(5.1)
+    assert 0.09 < time.perf_counter() - hurried < 2.0 and clock.stretch() < 1.5
 
 
 def test_without_an_autopilot_the_flight_waits_for_a_student(tmp_path):

@@ -62,7 +62,7 @@ def test_pilots_that_are_not_there_yet_are_wrong_use(pilot, capsys):
 )
 def test_what_a_pilot_cannot_do_is_wrong_use(words, sentence, monkeypatch, capsys):
     """Exit 2 and one sentence, before a page is opened: there is none to open."""
-    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
+    monkeypatch.setattr("falconwing_kit.tools.classroom.flight_page.FlightPage", None)
     assert main(["fly", *words]) == 2
     said = capsys.readouterr().err
     assert sentence in said
@@ -123,7 +123,7 @@ def test_the_pose_pilot_lands_in_the_hall_without_a_state(tmp_path, monkeypatch,
 )
 def test_wrong_options_are_wrong_use(words, sentence, monkeypatch, capsys):
     """Exit 2, one sentence, and before a page is opened: there is none to open."""
-    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
+    monkeypatch.setattr("falconwing_kit.tools.classroom.flight_page.FlightPage", None)
     assert main(["fly", "--no-render", *words]) == 2
     said = capsys.readouterr().err
     assert sentence in said
@@ -202,7 +202,7 @@ def test_other_tasks_and_starts_are_not_paired_or_mixed(words, told, tmp_path, m
     kept = str(tmp_path / "kept")
     monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
     assert main(["fly", *QUICK, "--seed", "500", "--out", kept]) == 1
-    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
+    monkeypatch.setattr("falconwing_kit.tools.classroom.flight_page.FlightPage", None)
     for option in ("--against", "--out"):
         capsys.readouterr()
         assert main(["fly", "--seed", "500", *words, option, kept]) == 2
@@ -248,7 +248,7 @@ def test_a_scene_that_is_no_hall_is_wrong_use(name, sentence, tmp_path, monkeypa
     aircraft alone.
     """
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
+    monkeypatch.setattr("falconwing_kit.tools.classroom.flight_page.FlightPage", None)
     plane = GaussianScene(
         [[0, 0, 0]], [[1, 0, 0, 0]], [[0.1] * 3], [0.9], [[[0.5] * 3]], (), ("leader",)
     )
@@ -289,6 +289,9 @@ class StandInPage:
 
     url, shown = "http://127.0.0.1:8080", 0
 
+    def __init__(self, scene, task) -> None:
+        assert (scene, task) == ("arena", "landing")
+
     def __enter__(self):
         return self
 
@@ -309,7 +312,7 @@ def test_without_headless_a_page_is_shown_the_flight_in_real_time(monkeypatch, c
     """Every step flown is shown; the page's address does not disturb the JSON. How the dive ends is
     not asked here.
     """
-    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", StandInPage)
+    monkeypatch.setattr("falconwing_kit.tools.classroom.flight_page.FlightPage", StandInPage)
     monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
     assert main(["fly", "--no-render", "--json"]) == 1
     said = capsys.readouterr()
@@ -402,7 +405,7 @@ def test_the_nominal_model_flies_as_without_one(tmp_path, capsys):
 )
 def test_a_model_that_cannot_be_flown_is_wrong_use(made, sentence, tmp_path, monkeypatch, capsys):
     """No file, no model, no body rates, too fast for the hall: exit 2, one sentence, no page."""
-    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", None)
+    monkeypatch.setattr("falconwing_kit.tools.classroom.flight_page.FlightPage", None)
     path = tmp_path / "m.toml"
     if isinstance(made, str):
         path.write_text(made)
@@ -511,7 +514,8 @@ class KeptPage(StandInPage):
     def show(self, step) -> None:
         time.sleep(0.08)  # slower than the 50 ms of a step
 
-    def keep(self, verdict: str) -> None:
+    def keep(self, verdict: str, success: bool) -> None:
+        assert success is False
         type(self).verdicts += (verdict,)
 
 
@@ -519,7 +523,7 @@ def test_a_slow_page_stretches_time_and_stays_with_the_verdict(monkeypatch, caps
     """Steps of 80 ms instead of 50: none is left out, the stretch of 1.6 or more is said, and the
     page is kept with the outcome.
     """
-    monkeypatch.setattr("falconwing_kit.tools.demo.live_page.LivePage", KeptPage)
+    monkeypatch.setattr("falconwing_kit.tools.classroom.flight_page.FlightPage", KeptPage)
     monkeypatch.setattr(LandingTask, "expert", lambda self, trial: Dive())
     assert main(["fly", "--no-render", "--json"]) == 1
     said = capsys.readouterr()

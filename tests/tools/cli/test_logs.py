@@ -1,7 +1,11 @@
 """`falconwing export` and `replay`: a flight log converted, repaired, shown and drawn."""
 
+import gzip
 import json
+import re
 import shutil
+import urllib.error
+import urllib.request
 import webbrowser
 
 import numpy as np
@@ -10,8 +14,8 @@ import pytest
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.core.flight_table import read_flight_table
 from falconwing_kit.core.messages import Command, Image, State
+from falconwing_kit.tools.classroom.flight_page import FlightPage
 from falconwing_kit.tools.cli.main import main
-from falconwing_kit.tools.demo import live_page
 
 
 @pytest.fixture
@@ -158,30 +162,33 @@ def test_replay_draws_the_figures_of_the_demo(flown, tmp_path, capsys):
     assert capsys.readouterr().out.splitlines()[-1].startswith("next: falconwing export")
 
 
-def test_replay_shows_every_step_of_the_log(flown, monkeypatch, capsys):
-    """Each step reaches the page once: sticks, modes and views as logged; the page says whose
-    flight it is.
+def test_replay_serves_the_flight_of_the_log(flown, monkeypatch, capsys):
+    """The player's page at its own address; the flight by its poses and throttles as written, as
+    it was logged; --speed is in the address; no seat and no desk. Ctrl-C ends it.
     """
-    shown, banners = [], []
-    furnish = live_page.LivePage.__init__
+    found = {}
 
-    def begin(page, scene, port, banner):
-        banners.append(banner)
-        furnish(page, scene, port, banner)
+    def visit(page, **how):
+        address = page.url.partition("?")[0]
+        for name in ("", "flights/1.json", "wall", "desk"):
+            try:
+                with urllib.request.urlopen(address + name, timeout=30.0) as answer:
+                    found[name] = answer.read()
+            except urllib.error.HTTPError as error:
+                found[name] = error.code
 
-    monkeypatch.setattr(live_page.LivePage, "__init__", begin)
-    monkeypatch.setattr(live_page.LivePage, "set_scene", lambda page, scene: None)
-    monkeypatch.setattr(live_page.LivePage, "show", lambda page, step: shown.append(step))
+    monkeypatch.setattr(FlightPage, "set_scene", lambda page, scene: None)
+    monkeypatch.setattr(FlightPage, "wait", visit)
     monkeypatch.setattr(webbrowser, "open", lambda url: False)
-    assert main(["replay", str(flown), "--once", "--speed", "0.5", "--port", "18431"]) == 0
-    assert banners == ["REPLAY of a SIMULATION"]
-    assert len(shown) == 20  # also on a busy machine: time waits for it
-    for k, step in enumerate(shown):
-        assert step.command.throttle == pytest.approx(0.05 * k)
-        assert step.mode == ("approach", "flare")[k >= 10]
-        assert abs(float(step.image.pixels.mean()) - 10 * k) <= 2.0
-        assert step.state.p_world[0] == pytest.approx(0.3 * k)
-    assert "live page: http://127.0.0.1:" in capsys.readouterr().out
+    assert main(["replay", str(flown), "--speed", "0.5", "--port", "18431"]) == 0
+    assert re.search(r"page: http://127.0.0.1:\d+/\?speed=0.5 ", capsys.readouterr().out)
+    assert b"flight.js" in found[""] and (found["wall"], found["desk"]) == (404, 403)
+    flight = json.loads(gzip.decompress(found["flights/1.json"]))
+    assert flight["t"] == pytest.approx([0.05 * k for k in range(20)])
+    assert [row[0] for row in flight["pose"]] == pytest.approx([0.3 * k for k in range(20)])
+    assert [row[0] for row in flight["command"]] == pytest.approx([0.05 * k for k in range(20)])
+    assert [event["text"] for event in flight["events"]] == ["approach", "flare"]
+    assert flight["simulated"] is True and flight["success"] is None
 
 
 @pytest.mark.parametrize(
@@ -195,7 +202,8 @@ def test_replay_shows_every_step_of_the_log(flown, monkeypatch, capsys):
 )
 def test_replay_is_in_the_hall_of_the_log(tmp_path, monkeypatch, capsys, named, words, shown, said):
     """The scene reaches the page, of the two only the arena with a leader of its own; --scene has
-    precedence; the arena otherwise, and a sentence says so. The leader flies as logged.
+    precedence; the arena otherwise, and a sentence says so. A log without poses is shown by its
+    steps, again and again until Ctrl-C: the leader flies as logged.
     """
     path = tmp_path / "flown.mcap"
     with FlightLogWriter(path) as writer:
@@ -204,15 +212,21 @@ def test_replay_is_in_the_hall_of_the_log(tmp_path, monkeypatch, capsys, named, 
             writer.command(0.05 * k, Command(0.1, 0.0, 0.0, 0.0))
             writer.leader(0.05 * k, State.from_vector(np.full(9, 1.0 + k)))
     scenes, steps = [], []
-    monkeypatch.setattr(live_page.LivePage, "set_scene", lambda page, scene: scenes.append(scene))
-    monkeypatch.setattr(live_page.LivePage, "show", lambda page, step: steps.append(step))
+
+    def show(page, step):
+        steps.append(step)
+        if len(steps) == 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(FlightPage, "set_scene", lambda page, scene: scenes.append(scene))
+    monkeypatch.setattr(FlightPage, "show", show)
     monkeypatch.setattr(webbrowser, "open", lambda url: False)
-    words = ["replay", str(path), "--once", "--speed", "10", "--port", "18431", *words]
+    words = ["replay", str(path), "--speed", "4", "--port", "18431", *words]
     assert main(words) == 0
     assert ["arena" if "leader" in s.label_names else "hall" for s in scenes] == [shown]
     out = capsys.readouterr().out
     assert said in out and ("shown in the arena" in out) == bool(said)
-    assert [step.leader.p_world[0] for step in steps] == [1.0, 2.0, 3.0]
+    assert [step.leader.p_world[0] for step in steps] == [1.0, 2.0, 3.0, 1.0, 2.0]
 
 
 @pytest.mark.parametrize(

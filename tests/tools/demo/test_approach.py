@@ -211,7 +211,12 @@ def test_page_part_says_simulation_and_where_it_touched_down(approach, figures):
 def test_missed_landing_is_owned_up_to(approach, figures):
     """No centimetres where nothing was touched."""
     missed = SimpleNamespace(
-        log=approach.log, result={"success": False}, flight=approach.flight, hall="", pilot="expert"
+        log=approach.log,
+        result={"success": False},
+        flight=approach.flight,
+        hall="",
+        pilot="expert",
+        end="touched floor",
     )
     text = approach_section(missed, approach.log.parent)
     assert "It did not land on the pad" in text and "beside its centre line" not in text

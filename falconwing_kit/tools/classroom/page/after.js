@@ -10,11 +10,12 @@ const AFTER_STYLE = "/page/player.css";
  * `channel` (with `on(type, function)` and `send(message)`) carries the question what is missing.
  */
 export class AfterFlight {
-  constructor(box, channel = null, { sceneUrl = null, onclose = () => {} } = {}) {
+  constructor(box, channel = null, { sceneUrl = null, onclose = () => {}, rate = 1 } = {}) {
     this.box = box;
     this.channel = channel;
     this.sceneUrl = sceneUrl;
     this.onclose = onclose;
+    this.rate = rate; // of time, at first
     this.player = null;
     this.number = 0;
     this.answers = new Map(); // what `gap` said about a flight
@@ -66,6 +67,7 @@ export class AfterFlight {
     const place = afterElement("div");
     this.box.replaceChildren(this.closeButton(), place, this.links(data));
     this.player = new Player(place, data, view, view ? canvas : null);
+    this.player.rate = this.rate;
     this.player.say(why);
     this.showAnswer();
     this.player.play();
@@ -88,10 +90,12 @@ export class AfterFlight {
     this.number = 0;
     this.box.replaceChildren();
     this.box.hidden = true;
-    if (tell) this.onclose();
+    if (tell && this.onclose) this.onclose();
   }
 
+  /** The way back to the page's own view, where there is one. */
   closeButton() {
+    if (!this.onclose) return document.createDocumentFragment();
     const row = afterElement("p", "fw-after-links");
     const button = afterElement("button", "", "Back to what flies now");
     button.type = "button";

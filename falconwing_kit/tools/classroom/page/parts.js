@@ -55,6 +55,10 @@ export class WhoLine {
     this.reason = reason;
     this.who = { holder: "nobody", name: "", reason: "" };
     this.doubts = 0;
+    this.words = WHO_WORDS;
+    channel.on("hello", (hello) => {
+      if (hello.has_poses === false) this.words = { ...WHO_WORDS, nobody: "REPLAY" };
+    });
     channel.on("who", (who) => {
       this.who = who;
       this.doubts = 0;
@@ -80,7 +84,7 @@ export class WhoLine {
   show(holder, name, reason) {
     const known = Object.hasOwn(WHO_WORDS, holder) ? holder : "nobody";
     this.line.dataset.holder = known;
-    this.line.textContent = WHO_WORDS[known] + (name ? `: ${name}` : "");
+    this.line.textContent = this.words[known] + (name ? `: ${name}` : "");
     if (this.reason) this.reason.textContent = reason || "";
   }
 }

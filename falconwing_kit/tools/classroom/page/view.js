@@ -166,6 +166,7 @@ export class HallView {
   }
 
   take(state) {
+    if (!state.pose.every(Number.isFinite)) return; // a real flight without poses
     const now = performance.now();
     const pose = poseMatrix(...state.pose);
     const leader = state.leader ? poseMatrix(...state.leader) : null;

@@ -46,6 +46,8 @@ class Wall {
     const { channel } = this;
     channel.on("hello", (hello) => {
       this.hello = hello;
+      document.documentElement.dataset.school = String(hello.school !== false);
+      if (hello.has_poses === false) this.view.setCamera("picture");
       showLink(byId("link"), hello);
       byId("simulation").textContent = simulationWords(hello, this.state);
       this.showTask();
@@ -66,7 +68,7 @@ class Wall {
     channel.on("error", (message) => this.showEvent({ text: message.text }));
     channel.on("state", (state) => {
       this.state = state;
-      this.charts.add(state);
+      if (state.pose.every(Number.isFinite)) this.charts.add(state);
       this.showTime(state);
       if (!this.drawn) {
         this.drawn = true; // one drawing a frame, however many states arrive
@@ -84,7 +86,7 @@ class Wall {
       if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
       const key = event.key.toLowerCase();
       if (WALL_CAMERAS[key]) this.view.setCamera(WALL_CAMERAS[key]);
-      if (key === "r" && this.verdictFlight !== undefined) this.replay.open(this.verdictFlight);
+      if (key === "r" && this.againFlight !== undefined) this.replay.open(this.againFlight);
       if (key === "t") this.theme.next();
       if (key !== "f") return;
       if (document.fullscreenElement) document.exitFullscreen();
@@ -130,10 +132,13 @@ class Wall {
   showVerdict(verdict) {
     const box = byId("verdict");
     showVerdict(box, verdict);
-    const again = newElement("button", "", "Watch it again (key R)");
-    again.type = "button";
-    again.addEventListener("click", () => this.replay.open(verdict.flight));
-    box.append(again);
+    if (verdict.again !== false) {
+      const again = newElement("button", "", "Watch it again (key R)");
+      again.type = "button";
+      again.addEventListener("click", () => this.replay.open(verdict.flight));
+      box.append(again);
+      this.againFlight = verdict.flight;
+    }
     box.hidden = false;
     this.verdictAt = performance.now();
     this.verdictFlight = verdict.flight;
