@@ -130,7 +130,7 @@ def test_demo_flies_on_the_wall_and_its_log_in_the_player(browser, tmp_path):
         assert f"http://127.0.0.1:{port}/?speed=0.25" in replay.stdout.readline()
         visit = Visit(browser, f"http://127.0.0.1:{port}/?speed=0.25")
         visit.until(lambda page: page.query_selector("#flight [data-t]"))
-        visit.says("on the pad")
+        visit.says("touched pad")
         assert visit.page.get_attribute("#flight [data-t]", "data-rate") == "0.25"
         visit.until(lambda page: blue(visit.look("#flight canvas >> nth=0")) > 0.005)
         visit.page.keyboard.press("Home")
