@@ -5,6 +5,7 @@ disk is full.
 import contextlib
 import itertools
 import os
+import re
 import signal
 import time
 import weakref
@@ -216,10 +217,23 @@ def test_missed_landing_is_owned_up_to(approach, figures):
         flight=approach.flight,
         hall="",
         pilot="expert",
-        end="touched floor",
+        end="why",
     )
     text = approach_section(missed, approach.log.parent)
-    assert "It did not land on the pad" in text and "beside its centre line" not in text
+    assert "It did not land on the pad</strong> (why)" in text
+    assert "beside its centre line" not in text
+
+
+def test_the_supervisor_ends_an_approach_that_rolls_over(tmp_path, monkeypatch):
+    """Full aileron: beyond 80 deg of bank the flight ends; log and words say why."""
+    full = Command(0.6, 1.0, 0.1, 0.0)
+    pilot = SimpleNamespace(act=lambda observation: full)
+    monkeypatch.setattr(module.LandingTask, "expert", lambda task, trial: pilot)
+    flown = fly_approach(load_scene("arena"), tmp_path / "rolled.mcap")
+    assert re.fullmatch(r"handed back: bank of -?\d+ deg, at most 80 allowed", flown.end)
+    assert not flown.result["success"]
+    events = {event.name: event.details for event in read_flight_log(flown.log).events}
+    assert str(events["handed back"]["reason"]) in flown.end
 
 
 def test_same_seed_flies_the_same(approach, steps, tmp_path):
