@@ -193,8 +193,9 @@ def test_tables_stand_beside_the_paper(tmp_path):
     for name in (*UNSEEN, "scale 0.5", "scale 1", "scale 2"):
         cell = Cell("rgb", "follow", WORLDS[name])
         cells[cell] = [record(k, k % 2 == 0, ate_m=0.4 + 0.1 * k) for k in range(4)]
-    (table,) = evaluation_tables(cells)
-    rows = {row[1]: row for row in table.rows}
+    paper, other = evaluation_tables(cells)
+    rows = {row[1]: row for row in (*paper.rows, *other.rows)}
+    assert (len(paper.rows), len(other.rows)) == (4, 3)
     assert rows["three unseen together"][2] == "6 of 12"
     assert rows["three unseen together"][-1] == "30 % of 30, 102 cm, 20 ms"
     assert rows["left turn s descent"][4].startswith("55.0 (") and rows["scale 2"][-1] == "-"
