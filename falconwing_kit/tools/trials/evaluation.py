@@ -57,11 +57,15 @@ class Cell:
     size: tuple[int, int] = (320, 240)  # of the camera's image [px]
     seed: int = 0  # number of the list of trials
     scene: str = "hall"  # or "arena"
+    weights: str = ""  # a policy's file in place of those that ship
+    weights_digest: str = ""  # of that file
 
     @property
     def key(self) -> str:
         """What makes two trials of one number the same trial."""
-        text = json.dumps(asdict(self))
+        fields = asdict(self)
+        del fields["weights"]  # where the file lies does not matter
+        text = json.dumps(fields)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -170,16 +174,21 @@ def make_pilot(cell: Cell, task: WorldTask, trial: TrialSetup) -> TimedPilot:
             task.airframe.p_body_camera, leader=trial.leader,
         )  # fmt: skip
     else:
-        pilot = _pilot_by_images(cell.pilot, cell.task, cell.scene, cell.size)
+        pilot = pilot_by_images(cell)
         pilot.reset()
     return TimedPilot(pilot, entry.reads_state)
 
 
+def pilot_by_images(cell: Cell) -> Any:
+    """The pilot of a cell, loaded once in every process; InputError for weights not its own."""
+    return _load(cell.pilot, cell.task, cell.scene, cell.size, cell.weights)
+
+
 @lru_cache(maxsize=4)
-def _pilot_by_images(name: str, task: str, scene: str, size: tuple[int, int]) -> Any:
-    """A pilot that loads weights, once in every process."""
+def _load(name: str, task: str, scene: str, size: tuple[int, int], weights: str) -> Any:
     p_body_camera = LandingTask().airframe.p_body_camera
-    return load_pilot(name, task, scene, fpv_camera(*size), p_body_camera)
+    more: Any = {"weights": weights} if weights else {}
+    return load_pilot(name, task, scene, fpv_camera(*size), p_body_camera, **more)
 
 
 def make_setting(cell: Cell, seed: int) -> TrialSettings:

@@ -119,9 +119,11 @@ def _lead(cells: Mapping[Cell, Sequence[Record]]) -> str:
     trials = "trial" if counts == [1] else "trials"
     scenes = " and ".join(sorted({cell.scene for cell in cells}))
     between = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    files = sorted({f"{Path(c.weights).name} ({c.weights_digest})" for c in cells if c.weights})
+    weights = f" Pilots by images fly by {', '.join(files)}." if files else ""
     return (
         f"{between} {trials} of frozen list {', '.join(map(str, seeds))} in each world, in the"
-        f" scene {scenes}, images of {', '.join(sizes)}."
+        f" scene {scenes}, images of {', '.join(sizes)}.{weights}"
     )
 
 

@@ -61,9 +61,9 @@ def cheat(monkeypatch):
         return pilot
 
     monkeypatch.setattr(evaluation, "load_pilot", load)
-    evaluation._pilot_by_images.cache_clear()
+    evaluation._load.cache_clear()
     yield SimpleNamespace(pilot=pilot, asked=asked)
-    evaluation._pilot_by_images.cache_clear()
+    evaluation._load.cache_clear()
 
 
 @pytest.mark.parametrize("task", ["landing", "follow"])
@@ -124,12 +124,13 @@ def test_no_trial_begins_after_the_time_is_up(tmp_path, cheat):
 
 
 def test_worlds_are_apart_in_the_records(tmp_path):
-    """Another world, image size, list, scene or pilot is another trial; the same is the same."""
+    """Another world, image size, list, scene, pilot or weights is another trial."""
     cell = Cell("expert", "landing", WORLDS["paper"])
     changes = ({"world": WORLDS["curved"]}, {"pilot": "expert_pid"}, {"size": TINY}, {"seed": 1},
-               {"scene": "arena"})  # fmt: skip
+               {"scene": "arena"}, {"weights_digest": "1"})  # fmt: skip
     others = [replace(cell, **change) for change in changes]
-    assert len({one.key for one in (cell, *others)}) == 6
+    assert len({one.key for one in (cell, *others)}) == 7
+    assert replace(cell, weights="elsewhere/policy.safetensors").key == cell.key
     assert cell.key == Cell("expert", "landing", WORLDS["paper"]).key
 
 
