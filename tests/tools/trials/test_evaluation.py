@@ -14,6 +14,7 @@ from falconwing_kit.flight import pilots
 from falconwing_kit.flight.pilots import PilotEntry
 from falconwing_kit.flight.sources import MeasuredStates
 from falconwing_kit.flight.trial import trial_seed
+from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene import load_scene
 from falconwing_kit.tools.trials import evaluation
 from falconwing_kit.tools.trials.evaluation import (
@@ -90,6 +91,26 @@ def test_a_state_that_leaks_would_be_seen(cheat, monkeypatch):
     monkeypatch.setitem(pilots.PILOTS, "student", PilotEntry("a toy", ("landing",), True))
     fly_cell_trial((Cell("student", "landing", WORLDS["paper"], TINY), 0))
     assert all(observation.state is not None for observation in Cheat.seen)
+
+
+def test_a_flight_that_overflows_is_a_failure(cheat, monkeypatch):
+    """The world raises in its fifth step: a record with the error as reason; a pilot that cannot be
+    made is an error of the whole run.
+    """
+
+    def explode(self, t, command):
+        if t > 0.19:
+            raise OverflowError("state")
+
+    monkeypatch.setattr(SimulatedWorld, "send", explode)
+    cell = Cell("student", "landing", WORLDS["paper"], TINY)
+    record = fly_cell_trial((cell, 0))
+    assert record["reason"] == "simulation ended: state" and not record["success"]
+    assert summarise_cell([record])["successes"] == 0
+    json.dumps(record, allow_nan=False)
+    monkeypatch.setattr(Cheat, "reset", lambda self: explode(self, 1.0, None))
+    with pytest.raises(OverflowError):
+        fly_cell_trial((cell, 0))
 
 
 def test_an_ended_run_goes_on_where_it_was(tmp_path, cheat):
