@@ -1,5 +1,6 @@
 """falconwing eval: fly pilots in many worlds, and write tables beside the paper's figures."""
 
+import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from falconwing_kit.core.checks import InputError, require_range
+from falconwing_kit.core.checks import InputError, require_file, require_range
 from falconwing_kit.flight.pilots import PILOTS, require_pilot
 from falconwing_kit.flight.trial import TRIAL_SEEDS
 from falconwing_kit.tools.cli.scene_input import parse_size
@@ -44,6 +45,8 @@ class Eval:
     """
     trials: int = 100
     """in each world"""
+    weights: Path | None = None
+    """a policy's file of falconwing train, for the pilots by images, in place of those that ship"""
     seed: int = 0
     """number of the frozen list of starts, the same for all pilots"""
     scene: str = "hall"
@@ -114,7 +117,7 @@ class Eval:
 
     def _cells(self) -> "list[Cell]":
         """What is flown; all options are checked."""
-        from falconwing_kit.tools.trials.evaluation import SCENES, Cell
+        from falconwing_kit.tools.trials.evaluation import SCENES, Cell, pilot_by_images
         from falconwing_kit.tools.trials.worlds import TASKS, select_worlds
 
         if self.scene not in SCENES:
@@ -139,8 +142,21 @@ class Eval:
             for task in flown or tasks[:1]:
                 require_pilot(pilot, task, self.scene)
                 worlds = _ends(select_worlds(self.worlds, task), self.quick)
-                cells += [Cell(pilot, task, world, size, self.seed, self.scene) for world in worlds]
+                weights = () if PILOTS[pilot].reads_state else self._weights()
+                cells += [
+                    Cell(pilot, task, world, size, self.seed, self.scene, *weights)
+                    for world in worlds
+                ]
+                if weights:
+                    pilot_by_images(cells[-1])  # refuses other weights before the first trial
         return cells
+
+    def _weights(self) -> tuple[str, ...]:
+        """File and digest of --weights; empty without."""
+        if self.weights is None:
+            return ()
+        path = require_file(self.weights).resolve()
+        return str(path), hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def _ends(worlds: "Sequence[World]", quick: bool) -> "Sequence[World]":

@@ -32,6 +32,7 @@ from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.tools.jobs.run import WorkerLostError, parallel_map
 from falconwing_kit.tools.trials.image_faults import ImageFaults
 from falconwing_kit.tools.trials.statistics import bootstrap_mean_interval, wilson_interval
+from falconwing_kit.tools.trials.trial_figures import replace_nonfinite
 from falconwing_kit.tools.trials.trials import Record, TrialSettings, fly_trial
 from falconwing_kit.tools.trials.worlds import UNSEEN, World, WorldTask, mount_rotation
 from falconwing_kit.vision.monitor import FrameMonitor
@@ -57,11 +58,15 @@ class Cell:
     size: tuple[int, int] = (320, 240)  # of the camera's image [px]
     seed: int = 0  # number of the list of trials
     scene: str = "hall"  # or "arena"
+    weights: str = ""  # a policy's file in place of those that ship
+    weights_digest: str = ""  # of that file
 
     @property
     def key(self) -> str:
         """What makes two trials of one number the same trial."""
-        text = json.dumps(asdict(self))
+        fields = asdict(self)
+        del fields["weights"]  # where the file lies does not matter
+        text = json.dumps(fields)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -118,6 +123,9 @@ class SilentSupervisor:
 def fly_cell_trial(item: tuple[Cell, int]) -> Record:
     """The record of one trial of a cell.
 
+    A flight that leaves the simulation's range, such as one whose numbers overflow, is a failure
+    with the error as its reason.
+
     Args:
         item: cell, and number of the trial from 0.
 
@@ -132,18 +140,29 @@ def fly_cell_trial(item: tuple[Cell, int]) -> Record:
         flown.append(make_pilot(cell, task, trial))
         return flown[0]
 
-    record = fly_trial(task, make, number, cell.seed, setting)
-    cpu_ms = np.percentile(flown[0].cpu_ms, (50.0, 95.0))
+    try:
+        record = fly_trial(task, make, number, cell.seed, setting)
+    except (ValueError, ArithmeticError) as error:
+        if not flown:
+            raise
+        record = {"seed": seed, "success": False, "reason": f"simulation ended: {error}",
+                  "faults": 0, "supervisor": {"reason": "", "t_s": None}, "path_m": []}  # fmt: skip
+    cpu_ms = np.percentile(flown[0].cpu_ms or [0.0], (50.0, 95.0))
     path: Any = record["path_m"]
     kept: Record = {"key": cell.key, "pilot": cell.pilot, "task": cell.task}
     kept |= {"world": cell.world.name, "trial": number, "manoeuvre": _manoeuvre(cell, number)}
-    kept |= {name: record[name] for name in KEPT if record.get(name) is not None}
+    kept |= {key: record[key] for key in KEPT if _has_value(record.get(key))}
     kept |= {"cpu_ms_median": round(float(cpu_ms[0]), 3), "cpu_ms_p95": round(float(cpu_ms[1]), 3)}
     kept |= {"supervisor": record["supervisor"]}
     if cell.task == "landing":
         kept["go_arounds"] = count_go_arounds(np.array(path).reshape(-1, 3)[:, 0])
-    kept["path_m"] = np.round(path[::PATH_STEP], 2).tolist()
+    kept["path_m"] = replace_nonfinite(np.round(path[::PATH_STEP], 2).tolist())
     return kept
+
+
+def _has_value(value: Any) -> bool:
+    """Whether a measure is there, and finite where it is a number."""
+    return value is not None and not (isinstance(value, float) and not math.isfinite(value))
 
 
 def make_task(cell: Cell, number: int) -> WorldTask:
@@ -170,16 +189,21 @@ def make_pilot(cell: Cell, task: WorldTask, trial: TrialSetup) -> TimedPilot:
             task.airframe.p_body_camera, leader=trial.leader,
         )  # fmt: skip
     else:
-        pilot = _pilot_by_images(cell.pilot, cell.task, cell.scene, cell.size)
+        pilot = pilot_by_images(cell)
         pilot.reset()
     return TimedPilot(pilot, entry.reads_state)
 
 
+def pilot_by_images(cell: Cell) -> Any:
+    """The pilot of a cell, loaded once in every process; InputError for weights not its own."""
+    return _load(cell.pilot, cell.task, cell.scene, cell.size, cell.weights)
+
+
 @lru_cache(maxsize=4)
-def _pilot_by_images(name: str, task: str, scene: str, size: tuple[int, int]) -> Any:
-    """A pilot that loads weights, once in every process."""
+def _load(name: str, task: str, scene: str, size: tuple[int, int], weights: str) -> Any:
     p_body_camera = LandingTask().airframe.p_body_camera
-    return load_pilot(name, task, scene, fpv_camera(*size), p_body_camera)
+    more: Any = {"weights": weights} if weights else {}
+    return load_pilot(name, task, scene, fpv_camera(*size), p_body_camera, **more)
 
 
 def make_setting(cell: Cell, seed: int) -> TrialSettings:

@@ -32,10 +32,10 @@ PAPER: dict[tuple[str, str, str], PaperFigure] = {
     ("landing", "paper", "rgb"): PaperFigure(1.0, 10, 36.9, None),
     ("landing", "reality", "rgb"): PaperFigure(0.8, 10, 51.0, None, "real flights"),
 }
-# Of its robustness figure the text gives words only.
+# Of its robustness figure (RGB+Mask, 10 runs a level) the text gives words only.
 ROBUSTNESS = {
-    "scale": "paper, RGB+Mask, 10 runs a level: reliable from 0.5 to 2, worse only at 0.5",
-    "salt and pepper": "paper, RGB+Mask, 10 runs a level: robust up to 30 %",
+    "scale": "reliable from 0.5 to 2, worse only at 0.5",
+    "salt and pepper": "robust up to 30 %",
 }
 # Where a sweep has a number of the paper: group, task, pilot -> level, success share, trials
 DOTS = {

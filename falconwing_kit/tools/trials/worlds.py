@@ -60,10 +60,7 @@ class World:
     is_jsbsim: bool = False  # flown by JSBSim in place of the kit's model
     coefficients: float = 0.0  # half width of the coefficients' factors, or sd for JSBSim
     delay_s: tuple[float, float] = (LINK_DELAY_S, LINK_DELAY_S)  # of commands, drawn between [s]
-    wind_speed: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # speed of a wind of any direction, drawn between [m/s]
+    wind_speed: tuple[float, float] = (0.0, 0.0)  # of any direction, drawn between [m/s]
     # camera and link
     is_analog: bool = False  # seen through the analog link that was measured on the hall's photos
     snr_db: float | None = None  # of that link, in place of the measured one
@@ -179,7 +176,7 @@ def select_worlds(text: str, task: str) -> tuple[World, ...]:
         chosen |= {world.name: world for world in fitting if task in world.tasks}
         needed = [world.name for world in fitting if world.is_jsbsim and task in world.tasks]
         if needed and not has_jsbsim():
-            if name in (*needed, "reality"):
+            if name in needed:
                 raise InputError(
                     f"--worlds {name}: expected JSBSim, which flies its aircraft, got none"
                     " installed; run: pip install jsbsim"

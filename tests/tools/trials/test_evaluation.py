@@ -14,6 +14,7 @@ from falconwing_kit.flight import pilots
 from falconwing_kit.flight.pilots import PilotEntry
 from falconwing_kit.flight.sources import MeasuredStates
 from falconwing_kit.flight.trial import trial_seed
+from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.scene import load_scene
 from falconwing_kit.tools.trials import evaluation
 from falconwing_kit.tools.trials.evaluation import (
@@ -61,9 +62,9 @@ def cheat(monkeypatch):
         return pilot
 
     monkeypatch.setattr(evaluation, "load_pilot", load)
-    evaluation._pilot_by_images.cache_clear()
+    evaluation._load.cache_clear()
     yield SimpleNamespace(pilot=pilot, asked=asked)
-    evaluation._pilot_by_images.cache_clear()
+    evaluation._load.cache_clear()
 
 
 @pytest.mark.parametrize("task", ["landing", "follow"])
@@ -90,6 +91,26 @@ def test_a_state_that_leaks_would_be_seen(cheat, monkeypatch):
     monkeypatch.setitem(pilots.PILOTS, "student", PilotEntry("a toy", ("landing",), True))
     fly_cell_trial((Cell("student", "landing", WORLDS["paper"], TINY), 0))
     assert all(observation.state is not None for observation in Cheat.seen)
+
+
+def test_a_flight_that_overflows_is_a_failure(cheat, monkeypatch):
+    """The world raises in its fifth step: a record with the error as reason; a pilot that cannot be
+    made is an error of the whole run.
+    """
+
+    def explode(self, t, command):
+        if t > 0.19:
+            raise OverflowError("state")
+
+    monkeypatch.setattr(SimulatedWorld, "send", explode)
+    cell = Cell("student", "landing", WORLDS["paper"], TINY)
+    record = fly_cell_trial((cell, 0))
+    assert record["reason"] == "simulation ended: state" and not record["success"]
+    assert summarise_cell([record])["successes"] == 0
+    json.dumps(record, allow_nan=False)
+    monkeypatch.setattr(Cheat, "reset", lambda self: explode(self, 1.0, None))
+    with pytest.raises(OverflowError):
+        fly_cell_trial((cell, 0))
 
 
 def test_an_ended_run_goes_on_where_it_was(tmp_path, cheat):
@@ -124,12 +145,13 @@ def test_no_trial_begins_after_the_time_is_up(tmp_path, cheat):
 
 
 def test_worlds_are_apart_in_the_records(tmp_path):
-    """Another world, image size, list, scene or pilot is another trial; the same is the same."""
+    """Another world, image size, list, scene, pilot or weights is another trial."""
     cell = Cell("expert", "landing", WORLDS["paper"])
     changes = ({"world": WORLDS["curved"]}, {"pilot": "expert_pid"}, {"size": TINY}, {"seed": 1},
-               {"scene": "arena"})  # fmt: skip
+               {"scene": "arena"}, {"weights_digest": "1"})  # fmt: skip
     others = [replace(cell, **change) for change in changes]
-    assert len({one.key for one in (cell, *others)}) == 6
+    assert len({one.key for one in (cell, *others)}) == 7
+    assert replace(cell, weights="elsewhere/policy.safetensors").key == cell.key
     assert cell.key == Cell("expert", "landing", WORLDS["paper"]).key
 
 
@@ -193,8 +215,9 @@ def test_tables_stand_beside_the_paper(tmp_path):
     for name in (*UNSEEN, "scale 0.5", "scale 1", "scale 2"):
         cell = Cell("rgb", "follow", WORLDS[name])
         cells[cell] = [record(k, k % 2 == 0, ate_m=0.4 + 0.1 * k) for k in range(4)]
-    (table,) = evaluation_tables(cells)
-    rows = {row[1]: row for row in table.rows}
+    paper, other = evaluation_tables(cells)
+    rows = {row[1]: row for row in (*paper.rows, *other.rows)}
+    assert (len(paper.rows), len(other.rows)) == (4, 3)
     assert rows["three unseen together"][2] == "6 of 12"
     assert rows["three unseen together"][-1] == "30 % of 30, 102 cm, 20 ms"
     assert rows["left turn s descent"][4].startswith("55.0 (") and rows["scale 2"][-1] == "-"
