@@ -21,7 +21,7 @@ from falconwing_kit import __version__
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.collect import (
     Source,
-    collect_source,
+    collect_sources,
     parse_notebook,
     require_notebook_of,
 )
@@ -134,20 +134,21 @@ def grade_submission(work: GradingTask, assignment: Assignment) -> Record:
     judges = load_judges(assignment.folder, course)
     context = GradingContext(assignment.folder, lab, course, assignment.sandboxed)
     record = error_record(work, assignment, lab)
+    if submission.disputed:
+        return record
     try:
         data = submission.read()
         record["sha256"] = hashlib.sha256(data).hexdigest()
         notebook = parse_notebook(data, "the notebook")
         require_notebook_of(notebook, lab.notebook_since, submission.name)
+        sources = collect_sources(notebook, [each.name for each in lab.exercises], lab.packages)
     except (InputError, OSError, MemoryError) as error:
         return record | {"status": "unreadable", "problem": str(error)[:300], "points": 0.0}
     record["seed"] = work.seed or _seed(assignment.secret, submission.student, record["sha256"])
     for exercise in lab.exercises:
-        source = collect_source(notebook, exercise.name, lab.packages)
+        source, asked = sources[exercise.name], judges[exercise.name]
         try:
-            result = grade_exercise(
-                context, exercise, source, judges[exercise.name], record["seed"]
-            )
+            result = grade_exercise(context, exercise, source, asked, record["seed"])
         except (JudgeError, RuntimeError, OSError) as error:
             return record | {"problem": f"{exercise.name}: {error}"[:300]}
         record["exercises"][exercise.name] = result
