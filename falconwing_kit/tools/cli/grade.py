@@ -45,6 +45,8 @@ class Grade:
     """grade recorded submissions again, on the same cases, and report changes"""
     salt: str = ""
     """the course's secret that `labs release` was given"""
+    course: Path | None = None
+    """the course's folder that `labs release` was given, with the secret in salt.txt"""
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     unsafe_no_sandbox: bool = False
@@ -69,12 +71,14 @@ class Grade:
             read_grade_records,
             write_points_table,
         )
+        from falconwing_kit.tools.grading.salt import course_key
         from falconwing_kit.tools.grading.sandbox.limits import sweep
         from falconwing_kit.tools.grading.submissions import find_submissions
 
         require_range("--workers", self.workers, low=1, high=256)
         folder = lab_folder(self.lab, self.labs).resolve()
         lab = load_checks(folder)
+        key = course_key(self.salt, self.course)
         found = find_submissions(self.submissions, lab.name)
         sandboxed = not self.unsafe_no_sandbox
         if sandboxed and self.cluster:
@@ -82,14 +86,12 @@ class Grade:
         elif sandboxed:
             _require_sandbox()
         secret = open_run(
-            self.out, lab.name, self.salt, sandboxed=sandboxed, go_on=self.resume or self.regrade
+            self.out, lab.name, key, sandboxed=sandboxed, go_on=self.resume or self.regrade
         )
         known = last_records(read_grade_records(self.out))
         sweep()
         try:
-            counts = self._grade(
-                Assignment(folder, self.salt, secret, sandboxed), lab, found, known
-            )
+            counts = self._grade(Assignment(folder, key, secret, sandboxed), lab, found, known)
         finally:
             sweep()
             records = last_records(read_grade_records(self.out))

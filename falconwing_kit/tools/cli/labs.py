@@ -62,11 +62,13 @@ class Release:
     names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """labs, such as lab03; all if none is named"""
     salt: str = ""
-    """your course's secret, the seed of its numbers; `grade` needs the same. Without it: the open
-    course's
+    """your course's secret, the seed of its numbers, if you type one; `grade` needs the same"""
+    course: Path | None = None
+    """your course's folder: its salt.txt is the secret, made by the kit on the first release.
+    Without --course and --salt: the open course
     """
     roster: Path | None = None
-    """CSV file with a column `student`, for labs with numbers per student; needs --salt"""
+    """CSV file with a column `student`, for labs with numbers per student; needs a secret"""
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     json: bool = False
@@ -83,10 +85,12 @@ class Release:
             InputError: the folder is not empty, the roster cannot be used, or a lab cannot.
         """
         from falconwing_kit.tools.grading.release import read_roster, release
+        from falconwing_kit.tools.grading.salt import SALT_FILE, course_key
 
         folders = select_labs(self.names, self.labs)
         students = read_roster(self.roster) if self.roster else []
-        files = release(folders, self.out, self.salt, students)
+        key = course_key(self.salt, self.course, make=True)
+        files = release(folders, self.out, key, students)
         counts = {
             folder.name: sum(folder.name in path.parts for path in files) for folder in folders
         }
@@ -94,20 +98,21 @@ class Release:
             print_json(
                 {
                     "out": str(self.out),
-                    "salted": bool(self.salt),
+                    "salted": bool(key),
                     "students": len(students),
                     "files": counts,
                 }
             )
             return 0
-        course = "the course of your salt" if self.salt else "the open course"
+        course = "your course's numbers" if key else "the open course"
         print_table(
             ("lab", "files"),
             list(counts.items()),
             title=f"{self.out}: {course}, {len(students)} students",
         )
-        if self.salt:
-            print("keep the salt, and keep it secret: grading these labs needs it")
+        if key:
+            name = "the salt" if self.course is None else str(self.course / SALT_FILE)
+            print(f"keep {name}, and keep it secret: grading these labs needs it")
         if students:
             print("handouts has one folder per student; give it to that student only")
         next_line("hand the folder out; later falconwing grade lab01 SUBMISSIONS --out grades")

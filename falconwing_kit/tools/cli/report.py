@@ -50,6 +50,8 @@ class Report:
     """address of a scheduler of `distributed` whose workers inspect submissions instead"""
     salt: str = ""
     """the course's secret that `grade` was given"""
+    course: Path | None = None
+    """the course's folder that `grade` was given, with the secret in salt.txt"""
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     json: bool = False
@@ -81,7 +83,7 @@ class Report:
         require_range("--workers", self.workers, low=1, high=256)
         folder = lab_folder(self.lab, self.labs).resolve()
         lab = load_checks(folder)
-        require_run(self.grades, lab.name, self.salt)
+        require_run(self.grades, lab.name, self._key())
         records = last_records(read_grade_records(self.grades))
         if not records:
             raise InputError(
@@ -96,6 +98,12 @@ class Report:
         pairs = self._pages(folder, lab, entries, items, inspections)
         self._exports(lab, entries)
         return self._print(lab, entries, items, pairs, notes)
+
+    def _key(self) -> str:
+        """The course's key."""
+        from falconwing_kit.tools.grading.salt import course_key
+
+        return course_key(self.salt, self.course)
 
     def _inspect(
         self, folder: Path, entries: "Sequence[GradebookEntry]"
@@ -133,7 +141,7 @@ class Report:
         inspect = partial(
             inspect_submission,
             context=ReportContext(
-                folder, self.salt, not why, self.figures == "run", lab_fingerprint(folder)
+                folder, self._key(), not why, self.figures == "run", lab_fingerprint(folder)
             ),
         )
         done = parallel_map(inspect, tasks, self.workers, self.cluster, self.out / "looks")

@@ -19,9 +19,9 @@ from falconwing_kit.core.files import atomic_write, read_text
 from falconwing_kit.tools.grading.find import load_checks, load_module, notebook_path
 from falconwing_kit.tools.grading.lab import Course, course_constants
 from falconwing_kit.tools.grading.notebooks import build
+from falconwing_kit.tools.grading.salt import MIN_SALT
 
 FOLDER = "data"  # of a lab, copied to students
-MIN_SALT = 16  # characters; the kit is public, so a shorter salt can be found by brute force
 INSTRUCTORS = "\n## For instructors"  # the route ends here for students
 _STUDENT = re.compile(r"[A-Za-z0-9_@][A-Za-z0-9_.@+-]{0,63}")
 
@@ -68,8 +68,8 @@ def release(
     Args:
         folders: of the labs.
         out: a new or empty folder.
-        salt: the instructor's secret, which determines this course's constants; empty for the open
-            course.
+        salt: the course's key, which determines its constants, see `course_key`; empty for the
+            open course.
         students: who get individual files.
 
     Returns:
@@ -93,8 +93,8 @@ def release(
         )
     if students and not salt:
         raise InputError(
-            "--roster: expected a --salt with it; without one every student could draw the others' "
-            "files"
+            "--roster: expected --course or --salt with it; without one every student could draw "
+            "the others' files"
         )
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)

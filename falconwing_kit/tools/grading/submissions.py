@@ -80,7 +80,7 @@ class Submission:
         Raises:
             InputError: it cannot be read, or is too large.
         """
-        if self.when is None:
+        if self.problem and self.when is None:
             raise InputError(self.problem)
         try:
             with _open_plain(self.file) as handle:

@@ -86,7 +86,7 @@ def test_used_folder_weak_salt_and_roster_without_salt_are_refused(folder, tmp_p
     (tmp_path / "out" / "solution.txt").write_text("all of it")
     with pytest.raises(InputError, match="expected a new or an empty folder"):
         release([folder], tmp_path / "out")
-    with pytest.raises(InputError, match="expected a --salt"):
+    with pytest.raises(InputError, match="expected --course or --salt"):
         release([folder], tmp_path / "new", students=["ann"])
     with pytest.raises(InputError, match="expected at least 16 characters"):
         release([folder], tmp_path / "new", "2027")

@@ -128,7 +128,7 @@ def read_rubric(path: Path, lab: Lab, students: Iterable[str]) -> dict[str, Manu
         }
         comment = (row.get(COMMENT) or "").strip()
         found[student] = ManualGrade(
-            points, comment[1:] if comment[:2] in ("'=", "'+", "'-", "'@") else comment
+            points, comment[1:] if spreadsheet_cell(comment[1:]) == comment else comment
         )
     return found
 
