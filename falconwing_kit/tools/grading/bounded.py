@@ -4,6 +4,7 @@ Python's parser has inputs on which its time and memory are quadratic or worse, 
 notebook's size alone bounds what reading its code costs. The kernel's limits do.
 """
 
+import gc
 import json
 import math
 import os
@@ -59,6 +60,7 @@ def call_bounded(function: Callable[[], Any], seconds: float, memory_mib: int) -
 
 def _answer(function: Callable[[], Any], writing: int, seconds: float, memory_mib: int) -> NoReturn:
     """The child's part: set the limits, write the result and a line's end, and leave."""
+    gc.disable()  # it would write to, and so copy, every page that the child shares
     try:
         _limit(seconds, memory_mib)
         text = json.dumps(function()).encode() + b"\n"
