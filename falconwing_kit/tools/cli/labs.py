@@ -68,7 +68,9 @@ class Release:
     Without --course and --salt: the open course
     """
     roster: Path | None = None
-    """CSV file with a column `student`, for labs with numbers per student; needs a secret"""
+    """CSV file of the students, yours or a platform's, for labs with numbers per student; needs a
+    secret. Without it: roster.csv in --course
+    """
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     json: bool = False
@@ -84,11 +86,13 @@ class Release:
             FileNotFoundError: there is no roster.
             InputError: the folder is not empty, the roster cannot be used, or a lab cannot.
         """
-        from falconwing_kit.tools.grading.release import read_roster, release
+        from falconwing_kit.tools.grading.release import release
+        from falconwing_kit.tools.grading.roster import course_roster, read_roster
         from falconwing_kit.tools.grading.salt import SALT_FILE, course_key
 
         folders = select_labs(self.names, self.labs)
-        students = read_roster(self.roster) if self.roster else []
+        roster = read_roster(self.roster) if self.roster else course_roster(self.course)
+        students = [each.id for each in roster or ()]
         key = course_key(self.salt, self.course, make=True)
         files = release(folders, self.out, key, students)
         counts = {

@@ -34,8 +34,8 @@ class Report:
     """the folder that `grade --out` wrote"""
     out: Path
     """folder for the report; the same folder continues an interrupted report"""
-    submissions: Path | None = None
-    """the graded notebook, folder, or learning platform's zip"""
+    submissions: tuple[Path, ...] = ()
+    """what `grade` was given: the notebook, folder, or learning platforms' zips"""
     before: Path | None = None
     """an earlier class's submissions, for the similarity check"""
     rubric: Path | None = None
@@ -118,18 +118,20 @@ class Report:
             inspect_submission,
             lab_fingerprint,
         )
-        from falconwing_kit.tools.grading.submissions import find_submissions
+        from falconwing_kit.tools.grading.roster import collect_hand_ins, course_roster
         from falconwing_kit.tools.jobs.run import WorkerLostError, parallel_map
 
         why = self._sandbox_problem()
         notes = [f"{why}: public checks were not run, and figures are as stored"] if why else []
-        found = {
-            each.student: each
-            for each in find_submissions(Path(str(self.submissions)).resolve(), entries[0].lab.name)
-        }
+        places = [place.resolve() for place in self.submissions]
+        roster = course_roster(self.course)
+        handed_in = collect_hand_ins(places, entries[0].lab.name, roster)
+        found = {each.student: each for each in handed_in.submissions}
         tasks = []
         for entry in entries:
             submission, record = found.get(entry.student), entry.record
+            if record["status"] == "missing":
+                continue
             if submission is None or submission.sha256 != record["sha256"]:
                 problem = "not found" if submission is None else "changed since it was graded"
                 notes.append(f"{entry.student}: {problem}")

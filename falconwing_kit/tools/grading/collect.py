@@ -26,6 +26,7 @@ MAX_CELLS = 10_000
 COLLECT_S, COLLECT_MIB = 3.0, 1024  # limits of reading a notebook's code; a lab's takes 0.02 s
 MAX_PROBLEMS = 8
 KIT_KEY = "falconwing_kit"  # metadata key of the kit's version that built the notebook
+COURSE_KEY = "falconwing_course"  # of the mark of the course
 _KNOWN = frozenset(dir(builtins)) | {"__name__", "__file__"}
 _VERSION = re.compile(r"(\d{1,4})\.(\d{1,4})")
 _VERSION_BELOW_TITLE = re.compile(
@@ -58,10 +59,12 @@ class Notebook:
     Attributes:
         cells: in the notebook's order.
         kit: version of the kit that built it; not stored before 0.2.
+        course: mark of the course that it was handed out in; empty for the open course.
     """
 
     cells: tuple[SubmittedCell, ...]
     kit: str = "0.1"
+    course: str = ""
 
     @property
     def code(self) -> tuple[str, ...]:
@@ -143,7 +146,8 @@ def parse_notebook(data: bytes, name: str) -> Notebook:
         content = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError, MemoryError):
         raise InputError(
-            f"{name}: expected a Jupyter notebook, got a file that is not one; save it again"
+            f"{name}: expected a Jupyter notebook, got "
+            f"{'a file that is not one' if data.strip() else 'an empty file'}; save it again"
         ) from None
     cells = content.get("cells") if isinstance(content, dict) else None
     if not isinstance(cells, list):
@@ -154,7 +158,10 @@ def parse_notebook(data: bytes, name: str) -> Notebook:
     if len(cells) > MAX_CELLS:
         raise InputError(f"{name}: expected at most {MAX_CELLS} cells, got {len(cells)}")
     read = tuple(_read_cell(cell) for cell in cells if isinstance(cell, dict))
-    notebook = Notebook(read, _kit_of(content.get("metadata"), read))
+    metadata = content.get("metadata")
+    course = metadata.get(COURSE_KEY) if isinstance(metadata, dict) else None
+    mark = course[:64] if isinstance(course, str) else ""
+    notebook = Notebook(read, _kit_of(metadata, read), mark)
     if sum(len(cell.text) for cell in notebook.cells) > MAX_CODE:
         raise InputError(
             f"{name}: expected at most {MAX_CODE >> 20} MiB of text in the cells; "

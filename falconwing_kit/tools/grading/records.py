@@ -162,6 +162,13 @@ def write_points_table(out: Path, exercises: Sequence[str], records: Iterable[Re
     return out / GRADEBOOK
 
 
+def safe_file_name(student: str) -> str:
+    """A unique file name for a student that is valid on every system and can be read."""
+    plain = re.sub(r"[^\w@+-]+", "_", unicodedata.normalize("NFC", student)).strip("_")[:48]
+    mark = hashlib.sha256(student.encode()).hexdigest()[:6]
+    return student if plain == student else f"{plain or 'student'}-{mark}"
+
+
 def spreadsheet_cell(value: object) -> object:
     """A value as a spreadsheet cell; texts that a spreadsheet could take for formulas get a '.
 

@@ -63,7 +63,7 @@ def graded(request, tmp_path_factory):
             cells = (toys.HEAD, text, WRONG)
             (students / f"{NAMES[name]}.ipynb").write_bytes(toys.notebook_bytes(*cells))
         before = _files(students)
-        assert Grade(str(toys.LAB), students, out, workers=2, json=True).run() == 0
+        assert Grade(str(toys.LAB), (students,), out, workers=2, json=True).run() == 0
         server.settimeout(0.0)
         with pytest.raises(BlockingIOError):
             server.accept()  # nobody has called
@@ -127,7 +127,9 @@ def test_wrong_solution_alone_has_no_points(tmp_path, monkeypatch):
     )
     (tmp_path / "wrong.ipynb").write_bytes(toys.notebook_bytes(*cells))
     assert (
-        Grade(str(toys.LAB), tmp_path / "wrong.ipynb", tmp_path / "out", workers=1, json=True).run()
+        Grade(
+            str(toys.LAB), (tmp_path / "wrong.ipynb",), tmp_path / "out", workers=1, json=True
+        ).run()
         == 0
     )
     assert read_grade_records(tmp_path / "out")[0]["points"] == 0.0
