@@ -40,8 +40,10 @@ class Report:
     """an earlier class's submissions, for the similarity check"""
     rubric: Path | None = None
     """points by a person: points.csv of the rubric page"""
-    to: tuple[Literal["gradescope", "csv"], ...] = ()
-    """gradescope: a results.json for each student; csv: final points for a learning platform"""
+    to: tuple[Literal["moodle", "canvas", "gradescope", "csv"], ...] = ()
+    """moodle: a grading worksheet, and a zip with everyone's feedback page; canvas: its gradebook
+    for this lab; gradescope: a results.json for each student; csv: final points
+    """
     figures: Literal["run", "stored"] = "run"
     """run: run the notebooks in the sandbox; stored: show the figures stored in them"""
     workers: int = 2
@@ -67,6 +69,7 @@ class Report:
             FileNotFoundError: there is no file at --rubric.
             InputError: the records, the submissions or the points cannot be used.
         """
+        from falconwing_kit.tools.grading.course.course_gradebook import TOTALS, write_totals
         from falconwing_kit.tools.grading.course.gradebook import (
             make_entries,
             read_rubric,
@@ -94,6 +97,7 @@ class Report:
         self.out.mkdir(parents=True, exist_ok=True)
         inspections, notes = self._inspect(folder, entries) if self.submissions else ({}, [])
         write_gradebook(self.out / "gradebook.csv", lab, entries)
+        write_totals(self.out / TOTALS, lab.name, entries)
         items = item_statistics(lab, list(records.values()))
         pairs = self._pages(folder, lab, entries, items, inspections)
         self._exports(lab, entries)
@@ -212,12 +216,23 @@ class Report:
 
     def _exports(self, lab: "Lab", entries: "Sequence[GradebookEntry]") -> None:
         """Write the files for learning platforms."""
+        from falconwing_kit.tools.grading.course.exports import write_canvas, write_moodle
         from falconwing_kit.tools.grading.course.feedback import result_text
         from falconwing_kit.tools.grading.course.gradebook import (
             write_gradescope,
             write_platform_csv,
         )
+        from falconwing_kit.tools.grading.roster import course_roster
+        from falconwing_kit.tools.grading.rules import read_rules
 
+        if "moodle" in self.to:
+            write_moodle(self.out, entries, self.out / "feedback")
+        if "canvas" in self.to:
+            roster = course_roster(self.course)
+            if roster is None:
+                raise InputError("--to canvas: expected --course with a roster.csv, found none")
+            rules = read_rules(self.course).lab(lab.name)
+            write_canvas(self.out / "canvas.csv", lab.name, rules, entries, roster)
         if "csv" in self.to:
             write_platform_csv(self.out / "platform.csv", lab, entries)
         if "gradescope" in self.to:

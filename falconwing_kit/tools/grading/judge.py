@@ -146,7 +146,7 @@ def grade_submission(work: GradingTask, assignment: Assignment) -> Record:
         notebook = parse_notebook(data, "the notebook")
         require_notebook_of(notebook, lab.notebook_since, submission.name)
         sources = collect_sources(notebook, [each.name for each in lab.exercises], lab.packages)
-        if not any(source.text for source in sources.values()):
+        if not (any(source.text for source in sources.values()) or _has_cells_of(lab, notebook)):
             other = _lab_of(notebook, assignment.folder)
             why = f"a notebook of {other}, not of {lab.name}" if other else "none of its functions"
             why = f"{why}; ask for the notebook of {lab.name}"
@@ -167,6 +167,12 @@ def grade_submission(work: GradingTask, assignment: Assignment) -> Record:
         record["exercises"][exercise.name] = result
     points = math.fsum(each["points"] for each in record["exercises"].values())
     return record | {"status": "graded", "points": round(points, 4)}
+
+
+def _has_cells_of(lab: Lab, notebook: Notebook) -> bool:
+    """Whether some cell is marked as one of the lab's, though its functions were deleted."""
+    names = {each.name for each in lab.exercises} | {each.name for each in lab.rubric}
+    return any(cell.name in names for cell in notebook.cells if cell.role)
 
 
 def _lab_of(notebook: Notebook, folder: Path) -> str:
