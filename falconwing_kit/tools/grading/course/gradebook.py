@@ -152,6 +152,7 @@ def write_gradebook(path: Path, lab: Lab, entries: Sequence[GradebookEntry]) -> 
         "total",
         "of",
         "status",
+        "late days",
         "note",
         "sandboxed",
         COMMENT,
@@ -165,6 +166,9 @@ def write_gradebook(path: Path, lab: Lab, entries: Sequence[GradebookEntry]) -> 
             entry.total,
             entry.of,
             record["status"],
+            "unknown"
+            if record.get("late") and record["late_days"] is None
+            else record.get("late_days", 0),
             record["problem"],
             record["sandboxed"],
             entry.person.comment,
