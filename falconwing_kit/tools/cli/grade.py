@@ -14,7 +14,7 @@ from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 if TYPE_CHECKING:
     from falconwing_kit.tools.grading.judge import Assignment
     from falconwing_kit.tools.grading.lab import Lab
-    from falconwing_kit.tools.grading.submissions import Submission
+    from falconwing_kit.tools.grading.roster import HandIns
 
 Records = dict[str, dict[str, Any]]  # by student
 
@@ -29,8 +29,10 @@ class Grade:
 
     lab: Annotated[str, tyro.conf.Positional]
     """such as lab03"""
-    submissions: Annotated[Path, tyro.conf.Positional]
-    """a notebook, a folder of notebooks or of students' folders, or a learning platform's zip"""
+    submissions: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """a notebook, a folder of notebooks or of students' folders, or learning platforms' zips as
+    they are; with them Moodle's grading worksheet (.csv), if students have the same name
+    """
     out: Path
     """folder for the records and the gradebook"""
     workers: int = 2
@@ -45,6 +47,10 @@ class Grade:
     """grade recorded submissions again, on the same cases, and report changes"""
     salt: str = ""
     """the course's secret that `labs release` was given"""
+    course: Path | None = None
+    """the course's folder that `labs release` was given: the secret in salt.txt, who is in the
+    course in roster.csv, deadlines in course.toml
+    """
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     unsafe_no_sandbox: bool = False
@@ -69,51 +75,82 @@ class Grade:
             read_grade_records,
             write_points_table,
         )
+        from falconwing_kit.tools.grading.roster import (
+            collect_hand_ins,
+            course_roster,
+            hand_in_facts,
+        )
+        from falconwing_kit.tools.grading.rules import read_rules
+        from falconwing_kit.tools.grading.salt import course_key
         from falconwing_kit.tools.grading.sandbox.limits import sweep
-        from falconwing_kit.tools.grading.submissions import find_submissions
 
         require_range("--workers", self.workers, low=1, high=256)
         folder = lab_folder(self.lab, self.labs).resolve()
         lab = load_checks(folder)
-        found = find_submissions(self.submissions, lab.name)
+        key = course_key(self.salt, self.course)
+        roster, deadline = (
+            course_roster(self.course),
+            read_rules(self.course).lab(lab.name).deadline,
+        )
+        handed_in = collect_hand_ins(self.submissions, lab.name, roster)
+        facts = {
+            each.student: hand_in_facts(each, roster, deadline) for each in handed_in.submissions
+        }
         sandboxed = not self.unsafe_no_sandbox
         if sandboxed and self.cluster:
             _require_worker_sandboxes(self.cluster)
         elif sandboxed:
             _require_sandbox()
         secret = open_run(
-            self.out, lab.name, self.salt, sandboxed=sandboxed, go_on=self.resume or self.regrade
+            self.out, lab.name, key, sandboxed=sandboxed, go_on=self.resume or self.regrade
         )
         known = last_records(read_grade_records(self.out))
         sweep()
         try:
-            counts = self._grade(
-                Assignment(folder, self.salt, secret, sandboxed), lab, found, known
-            )
+            assignment = Assignment(folder, key, secret, sandboxed)
+            counts = self._grade(assignment, lab, handed_in, known, facts)
         finally:
             sweep()
             records = last_records(read_grade_records(self.out))
             book = write_points_table(
                 self.out, [exercise.name for exercise in lab.exercises], records.values()
             )
-        return self._report(lab, list(records.values()), counts | {"gradebook": str(book)})
+        size = None if roster is None else len(roster)
+        counts |= {"gradebook": str(book), "roster": size, "passed_over": handed_in.passed_over}
+        return self._report(lab, list(records.values()), counts)
 
     def _grade(
-        self, assignment: "Assignment", lab: "Lab", found: "list[Submission]", known: Records
+        self,
+        assignment: "Assignment",
+        lab: "Lab",
+        handed_in: "HandIns",
+        known: Records,
+        facts: Records,
     ) -> dict[str, Any]:
         """Grade what has no valid record yet, append each record immediately, and count."""
         from tqdm import tqdm
 
-        from falconwing_kit.tools.grading.judge import GradingTask, error_record, grade_submission
+        from falconwing_kit.tools.grading.judge import (
+            GradingTask,
+            error_record,
+            grade_submission,
+            missing_record,
+        )
         from falconwing_kit.tools.grading.records import append_record
         from falconwing_kit.tools.jobs.run import WorkerLostError, parallel_map
 
+        found = handed_in.submissions
         todo, before = [], {each.student: known.get(each.student, {}) for each in found}
         for each in found:
             same = (
                 before[each.student].get("sha256") == each.sha256
                 and before[each.student].get("status") != "error"
             )
+            moved = same and any(
+                before[each.student].get(k) != v for k, v in facts[each.student].items()
+            )
+            if moved and not self.regrade:  # such as a new deadline: no need to grade again
+                append_record(self.out, before[each.student] | facts[each.student])
             if not same or self.regrade:
                 todo.append(GradingTask(each, before[each.student]["seed"] if same else ""))
         changed = 0
@@ -125,10 +162,16 @@ class Grade:
         ):
             if isinstance(result, WorkerLostError):
                 result = error_record(work, assignment, lab) | {"problem": str(result)}
+            result = result | facts[work.submission.student]
             if result != before[work.submission.student]:
                 append_record(self.out, result)
                 changed += 1
-        gone = len(set(known) - set(before))
+        for student in handed_in.missing:
+            if known.get(student, {}).get("status", "missing") == "missing":
+                nothing = missing_record(student, assignment, lab)
+                if known.get(student) != nothing:
+                    append_record(self.out, nothing)
+        gone = len(set(known) - set(before) - set(handed_in.missing))
         return {
             "graded_now": len(todo),
             "left": len(found) - len(todo),
@@ -138,7 +181,16 @@ class Grade:
 
     def _report(self, lab: "Lab", records: list[dict[str, Any]], counts: dict[str, Any]) -> int:
         """Print the results; 1 if a person must look at a submission."""
+        from falconwing_kit.tools.grading.judge import STATES, record_state
+
         failed = [record for record in records if record["status"] == "error"]
+        states = [record_state(record) for record in records if record.get("known", True)]
+        strangers = [record for record in records if not record.get("known", True)]
+        by_state = {state: states.count(state) for state in STATES}
+        size = counts["roster"]
+        if size is not None and len(states) != size:
+            gone = f"{len(states)} records for a roster of {size}"
+            print(f"! {gone}: the roster has changed; grade into a new --out")
         marked = [record for record in records if record["status"] == "graded"]
         rows = []
         for exercise in lab.exercises:
@@ -153,14 +205,13 @@ class Grade:
                 )
             )
         if self.json:
-            states = [record["status"] for record in records]
-            by_status = {state: states.count(state) for state in ("graded", "unreadable", "error")}
             means = {name: mean for name, _, mean, _ in rows}
             print_json(
                 {
                     "lab": lab.name,
                     "sandboxed": not self.unsafe_no_sandbox,
-                    **by_status,
+                    **by_state,
+                    "strangers": len(strangers),
                     **counts,
                     "mean": means,
                 }
@@ -170,16 +221,29 @@ class Grade:
             f"{lab.name}: {len(marked)} of {len(records)} submissions graded, "
             f"{counts['graded_now']} of them now"
         )
+        total = " + ".join(f"{count} {state}" for state, count in by_state.items() if count)
         print_table(("exercise", "points", "mean", "all cases passed"), rows, title=title)
+        print(
+            f"{len(states)} students = {total or 0}"
+            + (f"; {len(strangers)} not on the roster" if strangers else "")
+        )
+        for name in counts["passed_over"]:
+            print(f"! {name}: not a notebook, and nobody's; passed over")
         if self.regrade:
             print(f"regraded {counts['graded_now']}; {counts['changed']} differ from their record")
         for record in records:
-            if record["status"] != "graded" or record["problem"]:
-                print(f"! {record['student']}: {record['status']}: {record['problem']}")
+            if record_state(record) != "graded" or record["problem"]:
+                said = record["problem"] or _late_text(record)
+                print(f"! {record['student']}: {record_state(record)}: {said}")
         if self.unsafe_no_sandbox:
             print("! graded without a sandbox: these points can be forged")
         next_line(f"open {counts['gradebook']}; it lacks the points by a person (figures, answers)")
         return int(bool(failed))
+
+
+def _late_text(record: dict[str, Any]) -> str:
+    days = record.get("late_days")
+    return "by an unknown time" if days is None else f"by {days} begun days"
 
 
 def _require_sandbox() -> None:

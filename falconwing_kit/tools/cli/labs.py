@@ -1,5 +1,6 @@
 """falconwing labs: build the labs' notebooks, release them to students, test them."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import short_name
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.tools.grading.find import select_labs
@@ -62,11 +64,15 @@ class Release:
     names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """labs, such as lab03; all if none is named"""
     salt: str = ""
-    """your course's secret, the seed of its numbers; `grade` needs the same. Without it: the open
-    course's
+    """your course's secret, the seed of its numbers, if you type one; `grade` needs the same"""
+    course: Path | None = None
+    """your course's folder: its salt.txt is the secret, made by the kit on the first release.
+    Without --course and --salt: the open course
     """
     roster: Path | None = None
-    """CSV file with a column `student`, for labs with numbers per student; needs --salt"""
+    """CSV file of the students, yours or a platform's, for labs with numbers per student; needs a
+    secret. Without it: roster.csv in --course
+    """
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     json: bool = False
@@ -82,11 +88,15 @@ class Release:
             FileNotFoundError: there is no roster.
             InputError: the folder is not empty, the roster cannot be used, or a lab cannot.
         """
-        from falconwing_kit.tools.grading.release import read_roster, release
+        from falconwing_kit.tools.grading.release import release
+        from falconwing_kit.tools.grading.roster import course_roster, read_roster
+        from falconwing_kit.tools.grading.salt import SALT_FILE, course_key
 
         folders = select_labs(self.names, self.labs)
-        students = read_roster(self.roster) if self.roster else []
-        files = release(folders, self.out, self.salt, students)
+        roster = read_roster(self.roster) if self.roster else course_roster(self.course)
+        students = [each.id for each in roster or ()]
+        key = course_key(self.salt, self.course, make=True)
+        files = release(folders, self.out, key, students)
         counts = {
             folder.name: sum(folder.name in path.parts for path in files) for folder in folders
         }
@@ -94,20 +104,21 @@ class Release:
             print_json(
                 {
                     "out": str(self.out),
-                    "salted": bool(self.salt),
+                    "salted": bool(key),
                     "students": len(students),
                     "files": counts,
                 }
             )
             return 0
-        course = "the course of your salt" if self.salt else "the open course"
+        course = "your course's numbers" if key else "the open course"
         print_table(
             ("lab", "files"),
             list(counts.items()),
             title=f"{self.out}: {course}, {len(students)} students",
         )
-        if self.salt:
-            print("keep the salt, and keep it secret: grading these labs needs it")
+        if key:
+            name = "the salt" if self.course is None else str(self.course / SALT_FILE)
+            print(f"keep {name}, and keep it secret: grading these labs needs it")
         if students:
             print("handouts has one folder per student; give it to that student only")
         next_line("hand the folder out; later falconwing grade lab01 SUBMISSIONS --out grades")
@@ -173,10 +184,72 @@ def _percent(points: Mapping[str, float], of: Mapping[str, float]) -> str:
 
 
 @dataclass(frozen=True)
-class Labs:
-    """Build the labs' notebooks, release them to students, or test them."""
+class Gradebook:
+    """Write the course's gradebook from the labs' reports: late days, dropped labs, weights.
 
-    step: tyro.conf.OmitSubcommandPrefixes[Build | Release | Selftest]
+    Exit code 1 if a lab has no record of a student of the roster.
+    """
+
+    out: Annotated[Path, tyro.conf.Positional]
+    """folder for course.csv and course_canvas.csv"""
+    reports: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """the folders that `report --out` wrote, a lab each"""
+    course: Path | None = None
+    """the course's folder, with roster.csv and course.toml"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Write and print the gradebook.
+
+        Returns:
+            0 if every student has a record in every lab, else 1.
+
+        Raises:
+            InputError: a folder has no report, or two have the same lab's.
+        """
+        from falconwing_kit.tools.grading.course.course_gradebook import (
+            course_results,
+            read_totals,
+            write_course,
+        )
+        from falconwing_kit.tools.grading.roster import course_roster
+        from falconwing_kit.tools.grading.rules import read_rules
+
+        labs = [read_totals(report) for report in self.reports]
+        names = [name for name, _ in labs]
+        if not names or len(set(names)) < len(names):
+            got = ", ".join(names) or "none"
+            raise InputError(f"reports: expected one of each lab, got {got}; name each once")
+        roster = course_roster(self.course)
+        ids = None if roster is None else [student.id for student in roster]
+        results = course_results(dict(sorted(labs)), read_rules(self.course), ids)
+        self.out.mkdir(parents=True, exist_ok=True)
+        write_course(self.out, results, roster or ())
+        final = [each.percent for each in results if each.percent is not None]
+        states = {
+            name: Counter(each.labs[name].state for each in results) for name in sorted(names)
+        }
+        lost = sum(count["no record"] for count in states.values())
+        if self.json:
+            print_json({"students": len(results), "final": len(final), "labs": states})
+            return int(lost > 0)
+        rows = [
+            (name, sum(count.values()), " + ".join(f"{n} {s}" for s, n in sorted(count.items())))
+            for name, count in states.items()
+        ]
+        mean = f", {sum(final) / len(final):.1f} % on average" if final else ""
+        title = f"{len(results)} students, {len(final)} with a final result{mean}"
+        print_table(("lab", "students", "of them"), rows, title=title)
+        next_line(f"open {self.out / 'course.csv'}")
+        return int(lost > 0)
+
+
+@dataclass(frozen=True)
+class Labs:
+    """Build the labs' notebooks, release them to students, test them, or sum up a course."""
+
+    step: tyro.conf.OmitSubcommandPrefixes[Build | Release | Selftest | Gradebook]
 
     def run(self) -> int:
         """Run the chosen step."""

@@ -34,14 +34,16 @@ class Report:
     """the folder that `grade --out` wrote"""
     out: Path
     """folder for the report; the same folder continues an interrupted report"""
-    submissions: Path | None = None
-    """the graded notebook, folder, or learning platform's zip"""
+    submissions: tuple[Path, ...] = ()
+    """what `grade` was given: the notebook, folder, or learning platforms' zips"""
     before: Path | None = None
     """an earlier class's submissions, for the similarity check"""
     rubric: Path | None = None
     """points by a person: points.csv of the rubric page"""
-    to: tuple[Literal["gradescope", "csv"], ...] = ()
-    """gradescope: a results.json for each student; csv: final points for a learning platform"""
+    to: tuple[Literal["moodle", "canvas", "gradescope", "csv"], ...] = ()
+    """moodle: a grading worksheet, and a zip with everyone's feedback page; canvas: its gradebook
+    for this lab; gradescope: a results.json for each student; csv: final points
+    """
     figures: Literal["run", "stored"] = "run"
     """run: run the notebooks in the sandbox; stored: show the figures stored in them"""
     workers: int = 2
@@ -50,6 +52,8 @@ class Report:
     """address of a scheduler of `distributed` whose workers inspect submissions instead"""
     salt: str = ""
     """the course's secret that `grade` was given"""
+    course: Path | None = None
+    """the course's folder that `grade` was given, with the secret in salt.txt"""
     labs: Path | None = None
     """the folder with the labs; the checkout's own if not given"""
     json: bool = False
@@ -65,6 +69,7 @@ class Report:
             FileNotFoundError: there is no file at --rubric.
             InputError: the records, the submissions or the points cannot be used.
         """
+        from falconwing_kit.tools.grading.course.course_gradebook import TOTALS, write_totals
         from falconwing_kit.tools.grading.course.gradebook import (
             make_entries,
             read_rubric,
@@ -81,7 +86,7 @@ class Report:
         require_range("--workers", self.workers, low=1, high=256)
         folder = lab_folder(self.lab, self.labs).resolve()
         lab = load_checks(folder)
-        require_run(self.grades, lab.name, self.salt)
+        require_run(self.grades, lab.name, self._key())
         records = last_records(read_grade_records(self.grades))
         if not records:
             raise InputError(
@@ -92,10 +97,17 @@ class Report:
         self.out.mkdir(parents=True, exist_ok=True)
         inspections, notes = self._inspect(folder, entries) if self.submissions else ({}, [])
         write_gradebook(self.out / "gradebook.csv", lab, entries)
+        write_totals(self.out / TOTALS, lab.name, entries)
         items = item_statistics(lab, list(records.values()))
         pairs = self._pages(folder, lab, entries, items, inspections)
         self._exports(lab, entries)
         return self._print(lab, entries, items, pairs, notes)
+
+    def _key(self) -> str:
+        """The course's key."""
+        from falconwing_kit.tools.grading.salt import course_key
+
+        return course_key(self.salt, self.course)
 
     def _inspect(
         self, folder: Path, entries: "Sequence[GradebookEntry]"
@@ -110,18 +122,20 @@ class Report:
             inspect_submission,
             lab_fingerprint,
         )
-        from falconwing_kit.tools.grading.submissions import find_submissions
+        from falconwing_kit.tools.grading.roster import collect_hand_ins, course_roster
         from falconwing_kit.tools.jobs.run import WorkerLostError, parallel_map
 
         why = self._sandbox_problem()
         notes = [f"{why}: public checks were not run, and figures are as stored"] if why else []
-        found = {
-            each.student: each
-            for each in find_submissions(Path(str(self.submissions)).resolve(), entries[0].lab.name)
-        }
+        places = [place.resolve() for place in self.submissions]
+        roster = course_roster(self.course)
+        handed_in = collect_hand_ins(places, entries[0].lab.name, roster)
+        found = {each.student: each for each in handed_in.submissions}
         tasks = []
         for entry in entries:
             submission, record = found.get(entry.student), entry.record
+            if record["status"] == "missing":
+                continue
             if submission is None or submission.sha256 != record["sha256"]:
                 problem = "not found" if submission is None else "changed since it was graded"
                 notes.append(f"{entry.student}: {problem}")
@@ -133,7 +147,7 @@ class Report:
         inspect = partial(
             inspect_submission,
             context=ReportContext(
-                folder, self.salt, not why, self.figures == "run", lab_fingerprint(folder)
+                folder, self._key(), not why, self.figures == "run", lab_fingerprint(folder)
             ),
         )
         done = parallel_map(inspect, tasks, self.workers, self.cluster, self.out / "looks")
@@ -202,12 +216,23 @@ class Report:
 
     def _exports(self, lab: "Lab", entries: "Sequence[GradebookEntry]") -> None:
         """Write the files for learning platforms."""
+        from falconwing_kit.tools.grading.course.exports import write_canvas, write_moodle
         from falconwing_kit.tools.grading.course.feedback import result_text
         from falconwing_kit.tools.grading.course.gradebook import (
             write_gradescope,
             write_platform_csv,
         )
+        from falconwing_kit.tools.grading.roster import course_roster
+        from falconwing_kit.tools.grading.rules import read_rules
 
+        if "moodle" in self.to:
+            write_moodle(self.out, entries, self.out / "feedback")
+        if "canvas" in self.to:
+            roster = course_roster(self.course)
+            if roster is None:
+                raise InputError("--to canvas: expected --course with a roster.csv, found none")
+            rules = read_rules(self.course).lab(lab.name)
+            write_canvas(self.out / "canvas.csv", lab.name, rules, entries, roster)
         if "csv" in self.to:
             write_platform_csv(self.out / "platform.csv", lab, entries)
         if "gradescope" in self.to:

@@ -11,23 +11,28 @@ import json
 import re
 import symtable
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from falconwing_kit.core.checks import InputError, require_file
+from falconwing_kit.tools.grading.bounded import TooMuchError, call_bounded
 
 MAX_FILE, MAX_CODE = 32 << 20, 2 << 20  # bytes of a notebook with its outputs, and of its code
 MAX_PIECES = 5_000_000  # commas and brackets in the file, which limit the parser's memory
+MAX_CELLS = 10_000
+COLLECT_S, COLLECT_MIB = 3.0, 1024  # limits of reading a notebook's code; a lab's takes 0.02 s
 MAX_PROBLEMS = 8
 KIT_KEY = "falconwing_kit"  # metadata key of the kit's version that built the notebook
+COURSE_KEY = "falconwing_course"  # of the mark of the course
 _KNOWN = frozenset(dir(builtins)) | {"__name__", "__file__"}
 _VERSION = re.compile(r"(\d{1,4})\.(\d{1,4})")
 _VERSION_BELOW_TITLE = re.compile(
     r"^\*Notebook of falconwing-kit (\d{1,4}\.\d{1,4})\.\*$", re.MULTILINE
 )
-_MAGIC = re.compile(r"^([ \t]*)(?:[%!?]|[\w. ]+\?{1,2}[ \t]*$).*$", re.MULTILINE)
+_HELP = re.compile(r"[\w. ]+\?{1,2}")
 
 
 @dataclass(frozen=True)
@@ -54,10 +59,12 @@ class Notebook:
     Attributes:
         cells: in the notebook's order.
         kit: version of the kit that built it; not stored before 0.2.
+        course: mark of the course that it was handed out in; empty for the open course.
     """
 
     cells: tuple[SubmittedCell, ...]
     kit: str = "0.1"
+    course: str = ""
 
     @property
     def code(self) -> tuple[str, ...]:
@@ -139,7 +146,8 @@ def parse_notebook(data: bytes, name: str) -> Notebook:
         content = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError, MemoryError):
         raise InputError(
-            f"{name}: expected a Jupyter notebook, got a file that is not one; save it again"
+            f"{name}: expected a Jupyter notebook, got "
+            f"{'a file that is not one' if data.strip() else 'an empty file'}; save it again"
         ) from None
     cells = content.get("cells") if isinstance(content, dict) else None
     if not isinstance(cells, list):
@@ -147,8 +155,13 @@ def parse_notebook(data: bytes, name: str) -> Notebook:
             f"{name}: expected a notebook with cells, as Jupyter saves it today, got none; "
             "save it again"
         )
+    if len(cells) > MAX_CELLS:
+        raise InputError(f"{name}: expected at most {MAX_CELLS} cells, got {len(cells)}")
     read = tuple(_read_cell(cell) for cell in cells if isinstance(cell, dict))
-    notebook = Notebook(read, _kit_of(content.get("metadata"), read))
+    metadata = content.get("metadata")
+    course = metadata.get(COURSE_KEY) if isinstance(metadata, dict) else None
+    mark = course[:64] if isinstance(course, str) else ""
+    notebook = Notebook(read, _kit_of(metadata, read), mark)
     if sum(len(cell.text) for cell in notebook.cells) > MAX_CODE:
         raise InputError(
             f"{name}: expected at most {MAX_CODE >> 20} MiB of text in the cells; "
@@ -185,6 +198,38 @@ def _kit_of(metadata: Any, cells: Iterable[SubmittedCell]) -> str:
     return next((line[1] for line in lines if line), Notebook.kit)
 
 
+def collect_sources(
+    notebook: Notebook, names: Sequence[str], packages: Iterable[str] = ("numpy",)
+) -> dict[str, Source]:
+    """Sources of several functions, with bounded time and memory, whatever the notebook holds.
+
+    Args:
+        notebook: the student's.
+        names: of the functions.
+        packages: as in `collect_source`.
+
+    Raises:
+        InputError: reading the code takes more than COLLECT_S of computing or COLLECT_MIB.
+    """
+    allowed = tuple(packages)
+
+    def collect() -> list[tuple[str, tuple[str, ...]]]:
+        found = [collect_source(notebook, name, allowed) for name in names]
+        return [(each.text, each.problems) for each in found]
+
+    try:
+        found = call_bounded(collect, COLLECT_S, COLLECT_MIB)
+    except TooMuchError:
+        raise InputError(
+            f"expected code that is read within {COLLECT_S:g} s and {COLLECT_MIB} MiB, got more; "
+            "take large data and very long lines out of the cells"
+        ) from None
+    return {
+        name: Source(text, tuple(problems))
+        for name, (text, problems) in zip(names, found, strict=True)
+    }
+
+
 def collect_source(notebook: Notebook, name: str, packages: Iterable[str] = ("numpy",)) -> Source:
     """The text of a function with all its dependencies in the notebook.
 
@@ -196,7 +241,8 @@ def collect_source(notebook: Notebook, name: str, packages: Iterable[str] = ("nu
     Returns:
         Text to run in the sandbox, and its problems; never raises, whatever the notebook holds.
     """
-    statements, problems = _statements(notebook)
+    statements, found = _statements(notebook)
+    problems = list(found)
     written = [each for each in statements if each.kept and name in each.binds and not each.is_stub]
     if len(written) > 1:
         problems.append(f"{name} is written {len(written)} times; the last one counts")
@@ -246,7 +292,8 @@ def _read_cell(cell: dict[str, Any]) -> SubmittedCell:
     )
 
 
-def _statements(notebook: Notebook) -> tuple[list[_Statement], list[str]]:
+@lru_cache(maxsize=1)  # one notebook's functions are collected one after the other
+def _statements(notebook: Notebook) -> tuple[tuple[_Statement, ...], tuple[str, ...]]:
     """Top-level statements of all code cells, and the problems of cells that are not Python."""
     statements: list[_Statement] = []
     problems = []
@@ -259,7 +306,7 @@ def _statements(notebook: Notebook) -> tuple[list[_Statement], list[str]]:
             problems.append(f"code cell {number} is not Python: line {error.lineno}")
         except (ValueError, RecursionError, MemoryError):
             problems.append(f"code cell {number} is not Python that the grader can read")
-    return statements, problems
+    return tuple(statements), tuple(problems)
 
 
 def _parse(text: str) -> ast.Module:
@@ -269,7 +316,19 @@ def _parse(text: str) -> ast.Module:
     except SyntaxError:
         if text.lstrip().startswith("%%") and not text.lstrip().startswith(("%%time", "%%capture")):
             return ast.Module([], [])  # a cell in another language
-        return ast.parse(_MAGIC.sub(r"\1pass", text))
+        return ast.parse("\n".join(map(_without_magic, text.split("\n"))))
+
+
+def _without_magic(line: str) -> str:
+    """A line of Python, or `pass` in the place of a line of IPython.
+
+    The time is linear in the line's length: the whole line matches `_HELP`, from its first
+    character on, or not.
+    """
+    command = line.strip(" \t")
+    if command[:1] in ("%", "!", "?") or (command[-1:] == "?" and _HELP.fullmatch(command)):
+        return line[: len(line) - len(line.lstrip(" \t"))] + "pass"
+    return line
 
 
 def _split(node: ast.stmt) -> list[ast.stmt]:
@@ -320,24 +379,25 @@ def _needed(node: ast.stmt) -> Iterator[str]:
                 yield symbol.get_name()
 
 
-def _closure(statements: list[_Statement], name: str) -> tuple[list[_Statement], set[str]]:
+def _closure(statements: Sequence[_Statement], name: str) -> tuple[list[_Statement], set[str]]:
     """Statements that a name needs, in the notebook's order, and the undefined names."""
-    written = {
-        bound for each in statements if each.kept and not each.is_stub for bound in each.binds
-    }
+    stubs = {id(each) for each in statements if each.is_stub}
+    binding: dict[str, list[_Statement]] = {}  # by name; unwritten functions only where no other is
+    for ours in ([s for s in statements if id(s) not in stubs], statements):
+        known = set(binding)
+        for each in ours:
+            for bound in each.binds - known if each.kept else ():
+                binding.setdefault(bound, []).append(each)
     always = [each for each in statements if each.kept and _imports_all(each.node)]
     waiting, seen, missing = {name}.union(*(each.needs for each in always)), set(_KNOWN), set()
     chosen = {id(each) for each in always}
     while waiting:
         needed = waiting.pop()
         seen.add(needed)
-        found = [
-            s
-            for s in statements
-            if s.kept and needed in s.binds and not (s.is_stub and needed in written)
-        ]
+        found = binding.get(needed, [])
         chosen.update(id(each) for each in found)
-        waiting |= {need for each in found for need in each.needs} - seen
+        for each in found:
+            waiting |= each.needs - seen
         if not found:
             missing.add(needed)
     in_order = [each for each in statements if id(each) in chosen]

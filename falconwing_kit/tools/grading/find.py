@@ -7,10 +7,11 @@ mix: import them at the top of a file, not inside a function.
 
 import ast
 import sys
+import types
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
-from types import ModuleType
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import shipped_path
@@ -124,7 +125,7 @@ def load_judges(folder: Path, course: Course) -> Mapping[str, tuple[Judge, ...]]
 
 def load_module(
     folder: Path, name: str, constants: Mapping[str, float] | None = None
-) -> ModuleType:
+) -> types.ModuleType:
     """Load a lab's file with those that it imports, leaving nothing in `sys.modules`.
 
     Args:
@@ -163,16 +164,15 @@ def _reserved_names() -> Iterator[None]:
         sys.modules.update(before)
 
 
-def _run(path: Path, constants: Mapping[str, float] | None = None) -> ModuleType:
+def _run(path: Path, constants: Mapping[str, float] | None = None) -> types.ModuleType:
     """Run a file as a module under its short name; `constants` replace its COHORT."""
-    module = ModuleType(path.stem)
+    module = types.ModuleType(path.stem)
     module.__file__ = str(path.resolve())
     sys.modules[path.stem] = module
     try:
-        tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
-        if constants is not None:
-            _put_constants(tree, constants)
-        exec(compile(tree, module.__file__, "exec"), module.__dict__)
+        numbers = None if constants is None else tuple(constants.items())
+        code = _compiled(module.__file__, path.read_text(encoding="utf-8"), numbers)
+        exec(code, module.__dict__)
     except ModuleNotFoundError:
         raise  # the command line names the extra to install
     except Exception as error:
@@ -181,6 +181,16 @@ def _run(path: Path, constants: Mapping[str, float] | None = None) -> ModuleType
             f"{path}: running it failed with {type(error).__name__}: {text}; correct the file"
         ) from error
     return module
+
+
+@lru_cache(maxsize=32)  # a class's submissions load the same files again and again
+def _compiled(
+    path: str, text: str, constants: tuple[tuple[str, float], ...] | None
+) -> types.CodeType:
+    tree = ast.parse(text, path)
+    if constants is not None:
+        _put_constants(tree, dict(constants))
+    return compile(tree, path, "exec")
 
 
 def _put_constants(tree: ast.Module, constants: Mapping[str, float]) -> None:

@@ -8,8 +8,9 @@ right and how the others failed, never their questions or answers.
 import hashlib
 import hmac
 import math
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,12 +21,13 @@ import numpy as np
 from falconwing_kit import __version__
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.collect import (
+    Notebook,
     Source,
-    collect_source,
+    collect_sources,
     parse_notebook,
     require_notebook_of,
 )
-from falconwing_kit.tools.grading.find import load_checks, load_judges
+from falconwing_kit.tools.grading.find import lab_folders, load_checks, load_judges
 from falconwing_kit.tools.grading.lab import (
     Course,
     Exercise,
@@ -36,6 +38,7 @@ from falconwing_kit.tools.grading.lab import (
     course_constants,
     total_points,
 )
+from falconwing_kit.tools.grading.salt import course_mark
 from falconwing_kit.tools.grading.sandbox.host import (
     SandboxJob,
     StudentError,
@@ -46,6 +49,7 @@ from falconwing_kit.tools.grading.sandbox.host import (
 from falconwing_kit.tools.grading.submissions import Submission
 
 Record = dict[str, Any]
+STATES = ("graded", "late", "missing", "unreadable", "wrong lab", "error")
 
 
 @dataclass(frozen=True)
@@ -121,9 +125,9 @@ def grade_submission(work: GradingTask, assignment: Assignment) -> Record:
         assignment: lab and settings.
 
     Returns:
-        Texts and numbers: `status` is "graded", "unreadable" (0 points) or "error" (needs a
-        person). Deterministic: the same notebook, student, assignment and seed give the same
-        record.
+        Texts and numbers: `status` is "graded", "unreadable" or "wrong lab" (0 points), or "error"
+        (needs a person). Deterministic: the same notebook, student, assignment and seed give the
+        same record.
 
     Raises:
         InputError: the lab itself cannot be used.
@@ -134,25 +138,63 @@ def grade_submission(work: GradingTask, assignment: Assignment) -> Record:
     judges = load_judges(assignment.folder, course)
     context = GradingContext(assignment.folder, lab, course, assignment.sandboxed)
     record = error_record(work, assignment, lab)
+    if submission.disputed:
+        return record
     try:
         data = submission.read()
         record["sha256"] = hashlib.sha256(data).hexdigest()
         notebook = parse_notebook(data, "the notebook")
         require_notebook_of(notebook, lab.notebook_since, submission.name)
+        sources = collect_sources(notebook, [each.name for each in lab.exercises], lab.packages)
+        if not (any(source.text for source in sources.values()) or _has_cells_of(lab, notebook)):
+            other = _lab_of(notebook, assignment.folder)
+            why = f"a notebook of {other}, not of {lab.name}" if other else "none of its functions"
+            why = f"{why}; ask for the notebook of {lab.name}"
+            return record | {"status": "wrong lab", "problem": why, "points": 0.0}
+        mark = course_mark(assignment.salt)
+        if notebook.course != mark and notebook.course:
+            others = "handed out in another course, whose numbers differ"
+            record["problem"] = "; ".join(filter(None, (record["problem"], others)))
     except (InputError, OSError, MemoryError) as error:
         return record | {"status": "unreadable", "problem": str(error)[:300], "points": 0.0}
     record["seed"] = work.seed or _seed(assignment.secret, submission.student, record["sha256"])
     for exercise in lab.exercises:
-        source = collect_source(notebook, exercise.name, lab.packages)
+        source, asked = sources[exercise.name], judges[exercise.name]
         try:
-            result = grade_exercise(
-                context, exercise, source, judges[exercise.name], record["seed"]
-            )
+            result = grade_exercise(context, exercise, source, asked, record["seed"])
         except (JudgeError, RuntimeError, OSError) as error:
             return record | {"problem": f"{exercise.name}: {error}"[:300]}
         record["exercises"][exercise.name] = result
     points = math.fsum(each["points"] for each in record["exercises"].values())
     return record | {"status": "graded", "points": round(points, 4)}
+
+
+def _has_cells_of(lab: Lab, notebook: Notebook) -> bool:
+    """Whether some cell is marked as one of the lab's, though its functions were deleted."""
+    names = {each.name for each in lab.exercises} | {each.name for each in lab.rubric}
+    return any(cell.name in names for cell in notebook.cells if cell.role)
+
+
+def _lab_of(notebook: Notebook, folder: Path) -> str:
+    """Name of the lab beside this one whose functions a notebook defines; empty if none."""
+    written = set(re.findall(r"^def (\w+)\(", "\n".join(notebook.code), re.MULTILINE))
+    for other in lab_folders(folder.parent):
+        lab = load_checks(other)
+        if written & {each.name for each in lab.exercises}:
+            return lab.name
+    return ""
+
+
+def missing_record(student: str, assignment: Assignment, lab: Lab) -> Record:
+    """The record of a student of the roster who handed in nothing."""
+    nothing = GradingTask(Submission(student, Path(), problem="nothing handed in"))
+    return error_record(nothing, assignment, lab) | {"status": "missing", "points": 0.0}
+
+
+def record_state(record: Mapping[str, Any]) -> str:
+    """One of STATES; every record has exactly one."""
+    status = str(record["status"])
+    return "late" if status == "graded" and record.get("late") else status
 
 
 def error_record(work: GradingTask, assignment: Assignment, lab: Lab) -> Record:

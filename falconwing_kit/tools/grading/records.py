@@ -10,7 +10,9 @@ import hashlib
 import io
 import json
 import os
+import re
 import secrets
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,8 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write, write_error
 
 Record = dict[str, Any]
+_CELL_END = re.compile(r"(?<=[;\t\r\n])")
+_FORMULA_SIGNS = "=+-@\u2212"  # U+2212 is the minus sign, which NFKC keeps
 RECORDS, RUN, GRADEBOOK = "records.jsonl", "run.json", "gradebook.csv"
 
 
@@ -27,7 +31,7 @@ def open_run(out: Path, lab: str, salt: str, *, sandboxed: bool, go_on: bool) ->
 
     Args:
         lab: "lab03".
-        salt: the course's; only its fingerprint is stored.
+        salt: the course's key; only its fingerprint is stored.
         sandboxed: whether functions run in a sandbox.
         go_on: whether records may exist already.
 
@@ -80,7 +84,8 @@ def require_run(out: Path, lab: str, salt: str) -> None:
         raise InputError(f"{out}: expected records of {lab}, found those of {found[0]}")
     if found[1] != salt_fingerprint(salt):
         raise InputError(
-            f"{out}: expected the --salt that this lab was graded with, got another one or none"
+            f"{out}: expected the --course or --salt that this lab was graded with, got another "
+            "one or none"
         )
 
 
@@ -157,12 +162,29 @@ def write_points_table(out: Path, exercises: Sequence[str], records: Iterable[Re
     return out / GRADEBOOK
 
 
+def safe_file_name(student: str) -> str:
+    """A unique file name for a student that is valid on every system and can be read."""
+    plain = re.sub(r"[^\w@+-]+", "_", unicodedata.normalize("NFC", student)).strip("_")[:48]
+    mark = hashlib.sha256(student.encode()).hexdigest()[:6]
+    return student if plain == student else f"{plain or 'student'}-{mark}"
+
+
 def spreadsheet_cell(value: object) -> object:
-    """A value as a spreadsheet cell; texts that look like formulas are quoted."""
+    """A value as a spreadsheet cell; texts that a spreadsheet could take for formulas get a '.
+
+    A formula may begin behind blanks and characters that cannot be seen, in full-width or other
+    forms of the same sign, and behind a semicolon, tabulator or line end, where a spreadsheet of
+    another country begins a new cell.
+    """
     if value is None:
         return ""
-    return (
-        f"'{value}"
-        if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r")
-        else value
-    )
+    if not isinstance(value, str):
+        return value
+    parts = _CELL_END.split(value)
+    return "".join(f"'{part}" if _begins_formula(part) else part for part in parts)
+
+
+def _begins_formula(text: str) -> bool:
+    seen = (letter for letter in text if letter.isprintable() and not letter.isspace())
+    first = unicodedata.normalize("NFKC", next(seen, ""))[:1]
+    return text[:1] in ("\t", "\r") or (first != "" and first in _FORMULA_SIGNS)

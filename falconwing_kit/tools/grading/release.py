@@ -6,58 +6,22 @@ OUT/handouts/STUDENT/lab12_gap/     individual files of each student, for labs t
 """
 
 import ast
-import csv
-import io
 import json
-import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 from falconwing_kit.core.checks import InputError, require_file
-from falconwing_kit.core.files import atomic_write, read_text
+from falconwing_kit.core.files import atomic_write
+from falconwing_kit.tools.grading.collect import COURSE_KEY
 from falconwing_kit.tools.grading.find import load_checks, load_module, notebook_path
 from falconwing_kit.tools.grading.lab import Course, course_constants
 from falconwing_kit.tools.grading.notebooks import build
+from falconwing_kit.tools.grading.records import safe_file_name
+from falconwing_kit.tools.grading.salt import MIN_SALT, course_mark
 
 FOLDER = "data"  # of a lab, copied to students
-MIN_SALT = 16  # characters; the kit is public, so a shorter salt can be found by brute force
 INSTRUCTORS = "\n## For instructors"  # the route ends here for students
-_STUDENT = re.compile(r"[A-Za-z0-9_@][A-Za-z0-9_.@+-]{0,63}")
-
-
-def read_roster(path: Path) -> list[str]:
-    """Names of the course's students.
-
-    Args:
-        path: a CSV file with a column `student`, such as a learning platform's user names; other
-            columns are ignored.
-
-    Returns:
-        The names, in the file's order.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        InputError: it is no text in UTF-8, it has no such column, a name twice, or a name that
-            cannot be a folder's.
-    """
-    reader = csv.DictReader(io.StringIO(read_text(path), newline=""))
-    if "student" not in (reader.fieldnames or ()):
-        raise InputError(
-            f"{path}: expected a column called student, got "
-            f"{', '.join(reader.fieldnames or ['nothing'])}"
-        )
-    students = [(row["student"] or "").strip() for row in reader]
-    for student in students:
-        if not _STUDENT.fullmatch(student):
-            raise InputError(
-                f"{path}: expected user names of letters, digits and . _ @ + -, got {student!r}"
-            )
-        if students.count(student) > 1:
-            raise InputError(
-                f"{path}: expected every student once, got {student} more often; correct the list"
-            )
-    return students
 
 
 def release(
@@ -68,8 +32,8 @@ def release(
     Args:
         folders: of the labs.
         out: a new or empty folder.
-        salt: the instructor's secret, which determines this course's constants; empty for the open
-            course.
+        salt: the course's key, which determines its constants, see `course_key`; empty for the
+            open course.
         students: who get individual files.
 
     Returns:
@@ -93,8 +57,8 @@ def release(
         )
     if students and not salt:
         raise InputError(
-            "--roster: expected a --salt with it; without one every student could draw the others' "
-            "files"
+            "--roster: expected --course or --salt with it; without one every student could draw "
+            "the others' files"
         )
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
@@ -122,7 +86,10 @@ def route_for_students(readme: Path) -> str:
 def _release_lab(folder: Path, target: Path, salt: str) -> None:
     """Notebook, files, data and constants of one lab."""
     target.mkdir(parents=True)
-    _write(target / notebook_path(folder).name, build(folder)[notebook_path(folder)])
+    notebook = json.loads(build(folder)[notebook_path(folder)])
+    notebook["metadata"] |= {COURSE_KEY: course_mark(salt)} if salt else {}
+    text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+    _write(target / notebook_path(folder).name, text)
     shutil.copyfile(require_file(folder / "given.py"), target / "given.py")
     _write(
         target / "checks.py",
@@ -177,7 +144,7 @@ def _release_handouts(folder: Path, target: Path, salt: str, students: Sequence[
     if handout is None:
         return
     for student in students:
-        place = target / student / folder.name
+        place = target / safe_file_name(student) / folder.name
         place.mkdir(parents=True)
         handout(Course(constants, student, salt), place)
 

@@ -1,32 +1,44 @@
 """Submissions: a notebook, folder or learning platform's zip -> each student's notebook.
 
-Students are identified by the platform's file names; nothing is unpacked to disk:
+Nothing is unpacked to disk. Who a student is, only the first name below the folder or in the zip
+says, which the platform or the teacher gave; names, folders and dates below it are the student's:
 
     ada.ipynb, lab03_ada.ipynb                               ada
-    ada/lab03.ipynb                                          ada      (a folder per student)
+    ada/lab03.ipynb, ada.zip                                 ada      (a folder or zip per student)
     Ada Lovelace_4711_assignsubmission_file_/lab03.ipynb     Ada Lovelace_4711      (Moodle)
     lovelaceada_LATE_123_456_lab03-2.ipynb                   lovelaceada_123        (Canvas)
+    submission_9/lab03.ipynb                                 by the list beside it  (Gradescope)
+
+Files that are no notebooks are listed too, so that nobody who handed in one is lost.
 """
 
+import calendar
 import hashlib
 import io
 import os
 import re
 import stat
+import unicodedata
 import zipfile
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import IO, BinaryIO
+from typing import IO, Any, BinaryIO
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.collect import MAX_FILE
 
-MAX_ENTRIES = 20_000  # of a zip or a folder
-_MOODLE = re.compile(r"([^/]+)_assignsubmission_")
-_CANVAS = re.compile(r"(?:^|/)([^_/]+)_(?:LATE_)?(\d+)_(?:question_\d+_)?\d+_")
-_SKIPPED = {"__MACOSX", ".ipynb_checkpoints", ".git"}
+MAX_ENTRIES = 20_000  # of a zip or a student's folder
+# beginnings of a first name; what follows them is the student's file name
+_CANVAS = re.compile(r"([^_]+)_(LATE_)?(\d+)_(?:question_\d+_)?\d+_")
+_MOODLE = re.compile(r"(.+?)_assignsubmission_")
+_GRADESCOPE, _LIST = re.compile(r"assignment_\d+_export"), "submission_metadata.yml"
+_VERSION = re.compile(r"(?:-|_|\()(\d{1,4})\)?$")  # lab03-2, lab03 (2)
+_LEADS_OUT, _LINK = "a name that leads out of the zip", "a link, which is not followed"
+_SKIPPED = {"__MACOSX", ".ipynb_checkpoints", ".git", ".DS_Store", "Thumbs.db", "desktop.ini"}
 _UNREADABLE = (
     OSError,
     zipfile.BadZipFile,
@@ -46,17 +58,37 @@ class Submission:
         student: name from the file or folder.
         file: on disk: the notebook, or the zip that holds it.
         members: in a zip: the notebook's name; two names for a zip inside a zip.
-        when: time of the last change, to choose among several notebooks of one student.
+        when: time of the last change [s], to choose among several notebooks of one student; None
+            if it cannot be read.
         sha256: of the notebook's bytes; empty if unreadable.
-        problem: why it cannot be read (then `when` is empty), or a note; else empty.
+        problem: why it cannot be read, or a note; else empty.
+        entry: the first name below the folder or in the zip, which says whose it is.
+        disputed: several entries have this student's name, and a person must decide.
+        platform: "moodle", "canvas", "gradescope", or empty.
+        name_given: of the student, by the platform, without a number.
+        number, email: of the student, by the platform, such as "canvas:123"; may be empty.
+        late: whether the platform says so.
+        handed_in: time by the platform, ISO 8601; empty if unknown.
+        known: whether the student is on the course's roster, if there is one.
+        other: it is a file of another kind.
     """
 
     student: str
     file: Path
     members: tuple[str, ...] = ()
-    when: tuple[float, ...] = ()
+    when: float | None = None
     sha256: str = ""
     problem: str = ""
+    entry: str = ""
+    disputed: bool = False
+    platform: str = ""
+    name_given: str = ""
+    number: str = ""
+    email: str = ""
+    late: bool = False
+    handed_in: str = ""
+    known: bool = True
+    other: bool = False
 
     @property
     def name(self) -> str:
@@ -69,7 +101,7 @@ class Submission:
         Raises:
             InputError: it cannot be read, or is too large.
         """
-        if self.problem and not self.when:
+        if self.problem and self.when is None:
             raise InputError(self.problem)
         try:
             with _open_plain(self.file) as handle:
@@ -87,6 +119,36 @@ class Submission:
             ) from None
 
 
+@dataclass(frozen=True)
+class _File:
+    """A file of an export, in a student's own zip too.
+
+    Attributes:
+        outer: path below the folder or in the export's zip, by the platform's names at first.
+        inner: path in the student's zip; empty outside of one.
+        found: where it is, its time, and why it cannot be read.
+    """
+
+    outer: PurePosixPath
+    found: Submission
+    inner: PurePosixPath = field(default_factory=PurePosixPath)
+
+    @property
+    def path(self) -> PurePosixPath:
+        """Its own path, by which its kind is known."""
+        return self.inner if self.inner.parts else self.outer
+
+    @property
+    def first(self) -> str:
+        """The name that says whose it is."""
+        return self.outer.parts[0]
+
+    @property
+    def second(self) -> str:
+        """The name below it; empty for a file."""
+        return (*self.outer.parts, "")[1]
+
+
 def find_submissions(path: str | Path, lab: str) -> list[Submission]:
     """Every student's notebook of a lab.
 
@@ -96,137 +158,268 @@ def find_submissions(path: str | Path, lab: str) -> list[Submission]:
             the newest.
 
     Returns:
-        One for each student, by name; links and unsafe paths are reported, not followed.
+        One for each student, by name; links, unsafe paths and students who handed in other files
+        only are reported. Other files beside students' folders or notebooks are passed over.
 
     Raises:
         InputError: there is nothing at the path, or no notebook.
     """
+    found = [each for each in find_hand_ins(path, lab) if each.platform or not each.other]
+    if not found:
+        raise InputError(f"{path}: expected notebooks (.ipynb) in it, found none")
+    return found
+
+
+def find_hand_ins(path: str | Path, lab: str) -> list[Submission]:
+    """As `find_submissions`, with every file that could be somebody's hand-in."""
     place = Path(path)
     if place.is_dir():
-        found = list(_in_folder(place))
+        files = list(_in_folder(place))
     elif place.is_file():
-        found = list(_in_file(place))
+        files = list(_in_export(place))
     else:
         raise InputError(
             f"{place}: expected a notebook, a folder of notebooks or a zip, found nothing there"
         )
-    if not found:
-        raise InputError(f"{place}: expected notebooks (.ipynb) in it, found none")
-    students: dict[str, list[Submission]] = {}
-    for each in found:
-        students.setdefault(each.student, []).append(each)
-    return [_stamped(_chosen(students[name], lab)) for name in sorted(students)]
+    files = [each for each in files if not {*each.outer.parts, *each.inner.parts} & _SKIPPED]
+    if {bool(_GRADESCOPE.fullmatch(each.first)) and each.second != "" for each in files} == {True}:
+        files = [replace(f, outer=PurePosixPath(*f.outer.parts[1:])) for f in files]
+    lists = [each for each in files if each.outer == PurePosixPath(_LIST)]
+    groups = _read_list(lists[0].found.read()) if lists else None
+    if groups is None:
+        _refuse_outer_folder(place, files)
+    found: dict[str, list[Submission]] = {}
+    for file in files:
+        for each in _owned(file) if groups is None else _of_group(file, groups):
+            found.setdefault(each.student, []).append(each)
+    return [_stamped(_chosen(found[name], lab)) for name in sorted(found)]
 
 
 def student_of(path: PurePosixPath) -> str:
-    """Student of a file, from its path below the folder or in the zip."""
-    whole = "/".join(path.parts)
-    moodle, canvas = _MOODLE.search(whole), _CANVAS.search(whole)
-    if moodle:
-        name = moodle[1]
-    elif canvas:
-        name = f"{canvas[1]}_{canvas[2]}"
-    elif len(path.parts) > 1:
-        name = path.parts[0]
-    else:
-        name = re.sub(r"^lab\d+[-_ ]+|[-_ ]+lab\d+$", "", path.stem)
-    return _printable(name).strip() or "unnamed"
+    """Student of a file, from the first name of its path below the folder or in the zip."""
+    return _owned(_File(path, Submission("", Path())))[0].student
+
+
+def _owned(file: _File) -> list[Submission]:
+    """A file with its student, and what identifies the student there: names of one platform with
+    the same beginning are one student's, other names one each.
+    """
+    found, name = _kind(file), file.first
+    canvas, moodle = _CANVAS.match(name), _MOODLE.match(name)
+    if canvas:
+        found = replace(
+            found,
+            entry=f"{canvas[1]}_{canvas[3]}",
+            platform="canvas",
+            name_given=_printable(canvas[1]),
+            number=f"canvas:{canvas[3]}",
+            late=canvas[2] is not None,
+        )
+    elif moodle:
+        given = _printable(re.sub(r"_\d+$", "", moodle[1]))
+        found = replace(found, entry=moodle[1], platform="moodle", name_given=given)
+    if canvas or moodle:
+        return [replace(found, student=_printable(found.entry).strip() or "unnamed")]
+    plain = name if file.second else PurePosixPath(name).stem
+    plain = plain if file.second else re.sub(r"^lab\d+[-_ ]+|[-_ ]+lab\d+$", "", plain)
+    if found.problem == _LEADS_OUT and not file.inner.parts:  # the platform makes no such names
+        plain = str(file.path)
+    return [replace(found, student=_printable(plain).strip() or "unnamed", entry=name)]
+
+
+def _of_group(file: _File, groups: Mapping[str, list[dict[str, Any]]]) -> list[Submission]:
+    """A file of Gradescope's export, once for each student of its group."""
+    found = _kind(file)
+    if file.outer == PurePosixPath(_LIST):
+        return []
+    if file.first not in groups:
+        return [replace(found, student=_printable(file.first), entry=file.first, other=True)]
+    return [
+        replace(
+            found,
+            student=one["email"] or one["number"] or one["name_given"] or file.first,
+            entry=f"{file.first} {one['email']}",
+            platform="gradescope",
+            **one,
+        )
+        for one in groups[file.first]
+    ]
+
+
+def _read_list(data: bytes) -> dict[str, list[dict[str, Any]]]:
+    """Gradescope's list of an export: by folder the students of the group."""
+    import yaml  # type: ignore[import-untyped]
+
+    found = {}
+    try:
+        for folder, each in yaml.safe_load(data).items():
+            time = each.get(":created_at")
+            found[str(folder)] = [
+                {
+                    "name_given": _printable(str(one.get(":name") or "")),
+                    "number": _printable(str(one.get(":sid") or "")),
+                    "email": _printable(str(one.get(":email") or "")),
+                    "handed_in": time.isoformat() if hasattr(time, "isoformat") else "",
+                }
+                for one in each[":submitters"]
+            ]
+    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError, RecursionError):
+        raise InputError(f"{_LIST}: expected Gradescope's list of an export, got another") from None
+    return found
+
+
+def _kind(file: _File) -> Submission:
+    """What is found, with a note if it has not a notebook's ending."""
+    found, name = file.found, _printable(file.path.name)
+    if found.problem or file.path.suffix.lower() == ".ipynb":
+        return found
+    likely = file.path.suffix.lower() in ("", ".json", ".txt") or ".ipynb" in name.lower()
+    with suppress(InputError):
+        if likely and found.read()[:64].lstrip(b"\xef\xbb\xbf \r\n\t")[:1] == b"{":
+            return replace(found, problem=f"not called .ipynb: {name}")
+    return replace(found, when=None, other=True, problem=f"not a notebook: {name}")
+
+
+def _is_platform_name(name: str) -> bool:
+    return bool(_CANVAS.match(name) or _MOODLE.match(name))
 
 
 def _printable(name: str) -> str:
-    return "".join(letter for letter in name if letter.isprintable())[:80]
+    letters = (letter for letter in unicodedata.normalize("NFC", name) if letter.isprintable())
+    return "".join(letters)[:80]
 
 
-def _in_folder(folder: Path) -> Iterator[Submission]:
-    """Notebooks in a folder and its subfolders, without following links."""
-    entries = 0
-    for here, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if name not in _SKIPPED)
-        for file in (Path(here, name) for name in sorted(files)):
-            entries += 1
-            if entries > MAX_ENTRIES:
-                raise InputError(
-                    f"{folder}: expected at most {MAX_ENTRIES} files, found more; "
-                    "name the right folder"
-                )
-            yield from _in_file(file, PurePosixPath(file.relative_to(folder).as_posix()))
+def _refuse_outer_folder(place: Path, files: Iterable[_File]) -> None:
+    """Raise InputError for an export inside one more folder.
 
-
-def _in_file(file: Path, path: PurePosixPath | None = None) -> Iterator[Submission]:
-    """Content of a file on disk: a notebook, or a zip of them.
-
-    Args:
-        file: the file.
-        path: relative to the searched folder; None for the platform's export itself.
+    A student could forge the names in a folder, so they are not taken for the platform's.
     """
-    shown = path or PurePosixPath(file.name)
-    if shown.suffix.lower() not in (".ipynb", ".zip"):
-        return
-    mine = Submission(student_of(shown), file)
+    below = {(each.first, each.second) for each in files}
+    names = {first for first, _ in below}
+    alone = len(names) == 1 and not any(map(_is_platform_name, names))
+    if alone and all(_is_platform_name(second) for _, second in below):
+        raise InputError(
+            f"{place}: expected students' files or folders, got one folder, "
+            f"{_printable(names.pop())}, with a platform's names in it; if it is the "
+            "platform's export, give that folder"
+        )
+
+
+def _in_folder(folder: Path) -> Iterator[_File]:
+    """Files in a folder and its subfolders, without following links."""
+    for top in sorted(folder.iterdir()):
+        if top.is_dir() and not top.is_symlink():
+            yield from _in_students_folder(top)
+        else:
+            yield from _on_disk(top, PurePosixPath(top.name))
+
+
+def _in_students_folder(top: Path) -> list[_File]:
+    """Files of one student's folder; only the problem if they are too many, or none."""
+    files: list[_File] = []
+    count = 0
+    inside = PurePosixPath(top.name, ".")
+    for here, folders, names in os.walk(top):
+        folders[:] = sorted(name for name in folders if name not in _SKIPPED)
+        for name in sorted(names):
+            count += 1
+            if count > MAX_ENTRIES:
+                much = f"more than {MAX_ENTRIES} files"
+                return [_File(PurePosixPath(top.name, "x"), Submission("", top, problem=much))]
+            file = Path(here, name)
+            files += _on_disk(file, PurePosixPath(file.relative_to(top.parent).as_posix()))
+    nothing = Submission("", top, problem="an empty folder")
+    return files or [_File(inside / "x", nothing)]
+
+
+def _on_disk(file: Path, path: PurePosixPath) -> Iterator[_File]:
+    """A file on disk, or those in it if it is a student's zip."""
+    found = Submission("", file)
     if file.is_symlink():
-        yield replace(mine, problem="a link, which is not followed")
-    elif shown.suffix.lower() == ".ipynb":
-        yield replace(mine, when=(file.stat().st_mtime,))
+        yield _File(path, replace(found, problem=_LINK))
+    elif path.suffix.lower() != ".zip":
+        yield _File(path, replace(found, when=file.stat().st_mtime))
     else:
-        try:
-            with _open_plain(file) as handle:
-                yield from _in_zip(
-                    handle,
-                    replace(mine, student=""),
-                    path.with_suffix("") if path else PurePosixPath(),
-                )
-        except _UNREADABLE as error:
-            yield replace(mine, problem=f"not a zip that can be read: {type(error).__name__}")
+        yield from _in_students_zip(lambda: _open_plain(file), _File(path, found))
 
 
-def _in_zip(handle: BinaryIO, outer: Submission, base: PurePosixPath) -> Iterator[Submission]:
-    """Notebooks in a zip and in the students' zips inside; unsafe names are reported.
+def _in_export(file: Path) -> Iterator[_File]:
+    """A notebook, or the files in the class's zip."""
+    path, found = PurePosixPath(file.name), Submission("", file)
+    if path.suffix.lower() != ".zip":
+        yield _File(path, replace(found, when=file.stat().st_mtime))
+        return
+    try:
+        with _open_plain(file) as handle:
+            yield from _in_zip(handle, found)
+    except _UNREADABLE as error:
+        why = f"not a zip that can be read: {type(error).__name__}"
+        yield _File(path, replace(found, problem=why))
+
+
+def _in_students_zip(open_it: Callable[[], BinaryIO], mine: _File) -> Iterator[_File]:
+    """Files in a student's zip, all of them the student's."""
+    try:
+        with open_it() as handle:
+            files = list(_in_zip(handle, mine.found))
+    except (InputError, *_UNREADABLE) as error:
+        why = f"not a zip that can be read: {type(error).__name__}"
+        files = [_File(mine.outer, replace(mine.found, when=None, problem=why))]
+    nothing = replace(mine.found, when=None, problem="an empty zip")
+    for each in files or [_File(mine.outer, nothing)]:
+        inner = each.path if each.found.members != mine.found.members else PurePosixPath()
+        yield _File(mine.outer, each.found, inner)
+
+
+def _in_zip(handle: BinaryIO, outer: Submission) -> Iterator[_File]:
+    """Files in a zip and in the students' zips in it; unsafe names are reported.
 
     Args:
         handle: the zip.
         outer: its location.
-        base: prefix of its names for `student_of`.
     """
     with zipfile.ZipFile(handle) as archive:
         if len(archive.infolist()) > MAX_ENTRIES:
             raise ValueError(f"more than {MAX_ENTRIES} files")
+        full = {
+            PurePosixPath(each.filename).parts[:1]
+            for each in archive.infolist()
+            if not each.is_dir()
+        }
         for entry in archive.infolist():
             path = PurePosixPath(entry.filename.replace("\\", "/"))
-            if (
-                path.suffix.lower() not in (".ipynb", ".zip")
-                or set(path.parts) & _SKIPPED
-                or entry.is_dir()
-            ):
-                continue
-            place = (*outer.members, entry.filename)
             found = replace(
-                outer,
-                student=student_of(base / path),
-                members=place,
-                when=tuple(map(float, entry.date_time)),
+                outer, members=(*outer.members, entry.filename), when=_seconds(entry.date_time)
             )
-            if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
-                name = student_of(PurePosixPath(path.name))
-                yield replace(
-                    found, student=name, when=(), problem="a name that leads out of the zip"
-                )
+            if not path.parts or set(path.parts) & _SKIPPED:
+                continue
+            if entry.is_dir():
+                if path.parts[:1] not in full and not outer.members and len(path.parts) == 1:
+                    nothing = replace(found, when=None, problem="an empty folder")
+                    yield _File(path / "x", nothing)
+            elif path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
+                yield _File(path, replace(found, when=None, problem=_LEADS_OUT))
             elif stat.S_ISLNK(entry.external_attr >> 16):
-                yield replace(found, when=(), problem="a link, which is not followed")
-            elif path.suffix.lower() == ".ipynb":
-                yield found
+                yield _File(path, replace(found, when=None, problem=_LINK))
+            elif path.suffix.lower() != ".zip":
+                yield _File(path, found)
             elif outer.members:
-                yield replace(found, when=(), problem="a zip in a zip in a zip")
+                yield _File(path, replace(found, when=None, problem="a zip in a zip in a zip"))
             else:
-                yield from _in_inner_zip(archive, found, base / path.with_suffix(""))
+                inner = partial(_open_member, archive, entry)
+                yield from _in_students_zip(inner, _File(path, found))
 
 
-def _in_inner_zip(
-    archive: zipfile.ZipFile, found: Submission, base: PurePosixPath
-) -> Iterator[Submission]:
+def _open_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> BinaryIO:
+    return io.BytesIO(_at_most(archive.open(entry)))
+
+
+def _seconds(date: tuple[int, ...]) -> float:
+    """A zip's date as a time [s]; 0 for one that is none."""
     try:
-        yield from _in_zip(io.BytesIO(_at_most(archive.open(found.members[-1]))), found, base)
-    except (InputError, *_UNREADABLE) as error:
-        yield replace(found, when=(), problem=f"not a zip that can be read: {type(error).__name__}")
+        return float(calendar.timegm((*date, 0, 0, 0)))
+    except (ValueError, OverflowError):
+        return 0.0
 
 
 def _read_member(handle: BinaryIO, name: str) -> bytes:
@@ -256,20 +449,45 @@ def _open_plain(file: Path) -> BinaryIO:
 
 
 def _chosen(several: list[Submission], lab: str) -> Submission:
-    """The relevant notebook of a student's several: of this lab, readable, the newest."""
-    best = max(several, key=lambda each: (lab in each.name, not each.problem, each.when, each.name))
-    if len(several) > 1 and not best.problem:
+    """The relevant notebook of a student's several: of this lab, readable, the newest.
+
+    Of two names that are not one student's for certain (`ada.ipynb` and `lab03_ada.ipynb`, or two
+    that differ in letters that cannot be seen) none is taken: one of them may be somebody else's.
+    """
+    notebooks = [each for each in several if not each.other] or several
+    entries = sorted({_printable(each.entry) for each in notebooks})
+    if len({each.entry for each in notebooks}) > 1:
         return replace(
-            best, problem=f"one of {len(several)} notebooks of this student: {best.name}"
+            notebooks[0],
+            when=None,
+            disputed=True,
+            problem=f"several have this name: {', '.join(entries)[:200]}; rename or remove all but "
+            "the student's own",
+        )
+    best = max(notebooks, key=lambda each: _rank(each, lab))
+    if best.other and len(several) > 1:
+        names = sorted({each.name for each in several})
+        return replace(best, problem=f"not notebooks: {', '.join(names)[:200]}")
+    if len(notebooks) > 1 and not best.problem:
+        return replace(
+            best, problem=f"one of {len(notebooks)} notebooks of this student: {best.name}"
         )
     return best
 
 
+def _rank(each: Submission, lab: str) -> tuple[object, ...]:
+    """Order of one student's notebooks, the relevant one last."""
+    version = _VERSION.search(PurePosixPath(each.name).stem)
+    number = int(version[1]) if version else 0
+    readable = each.when is not None
+    return readable, lab in each.name, not each.problem, each.when or 0.0, number, each.name
+
+
 def _stamped(each: Submission) -> Submission:
     """The submission with the fingerprint of its bytes, or the reason for its absence."""
-    if not each.when:
+    if each.when is None:
         return each
     try:
         return replace(each, sha256=hashlib.sha256(each.read()).hexdigest())
     except InputError as error:
-        return replace(each, problem=str(error))
+        return replace(each, when=None, problem=str(error))

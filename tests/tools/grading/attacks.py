@@ -283,6 +283,35 @@ def attack(x, gain):
 def attack(x, gain):
     kept = []
     while True: kept.append(bytearray(1 << 22))""",
+    "memory of many children": """
+import os, time
+def attack(x, gain):
+    for _ in range(12):
+        if os.fork() == 0:
+            kept = bytearray(b"x") * (800 << 20)
+            time.sleep(5)
+            os._exit(0)
+    time.sleep(5)
+    return gain * x""",
+    "files in memory": """
+import os
+def attack(x, gain):
+    held = []
+    for _ in range(50):
+        held.append(os.memfd_create("x"))
+        os.write(held[-1], bytes(60 << 20))
+    return gain * x""",
+    "shared memory that belongs to nobody": """
+import ctypes
+def attack(x, gain):
+    library = ctypes.CDLL(None)
+    library.shmat.restype = ctypes.c_void_p
+    for _ in range(50):
+        place = library.shmat(library.shmget(0, ctypes.c_size_t(60 << 20), 0o1600), None, 0)
+        if place in (None, 2**64 - 1): break
+        ctypes.memset(place, 1, 60 << 20)
+        library.shmdt(ctypes.c_void_p(place))
+    return gain * x""",
     "an endless loop": """
 def attack(x, gain):
     while True: pass""",

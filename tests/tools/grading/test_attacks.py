@@ -12,6 +12,7 @@ from falconwing_kit.tools.cli.grade import Grade
 from falconwing_kit.tools.grading.records import last_records, read_grade_records
 from tests.tools.grading import toys
 from tests.tools.grading.attacks import ATTACKS
+from tests.tools.grading.plain_user import CHECKOUT, run_as_plain_user
 
 pytestmark = toys.needs_sandbox
 NAMES = {name: f"attack {number:02}" for number, name in enumerate(ATTACKS)}
@@ -29,8 +30,16 @@ PLAIN = {
 }
 
 
+def selected(request):
+    """The attacks of the tests that run: all, unless an option of pytest names some."""
+    items = [each for each in request.session.items if each.path == request.path]
+    params = [each.callspec.params if hasattr(each, "callspec") else {} for each in items]
+    names = {each.get("name") for each in params}
+    return [name for name in ATTACKS if name in names or names <= {None}]
+
+
 @pytest.fixture(scope="module")
-def graded(tmp_path_factory):
+def graded(request, tmp_path_factory):
     """Records by student, and the run's folder, after grading by two workers."""
     folder = tmp_path_factory.mktemp("attacked")
     out, students, token = folder / "out", folder / "students", secrets.token_hex(16)
@@ -48,13 +57,13 @@ def graded(tmp_path_factory):
             "TOKEN": token,
             "PORT": server.getsockname()[1],
         }
-        for name, text in ATTACKS.items():
+        for name, text in ((name, ATTACKS[name]) for name in selected(request)):
             for word, value in places.items():
                 text = text.replace(word, str(value))
             cells = (toys.HEAD, text, WRONG)
             (students / f"{NAMES[name]}.ipynb").write_bytes(toys.notebook_bytes(*cells))
         before = _files(students)
-        assert Grade(str(toys.LAB), students, out, workers=2, json=True).run() == 0
+        assert Grade(str(toys.LAB), (students,), out, workers=2, json=True).run() == 0
         server.settimeout(0.0)
         with pytest.raises(BlockingIOError):
             server.accept()  # nobody has called
@@ -86,6 +95,22 @@ def test_record_tells_nothing_of_the_questions(graded, name):
     assert "SECRET" not in json.dumps(record)
 
 
+QUICK = "equals or forged or pickle or memory or right or children or leave or crash or 3e12"
+
+
+def test_quick_attacks_gain_nothing_from_a_plain_user_either():
+    """The same tests of some attacks, by a user without control groups; all: bench_attacks.py."""
+    done = run_as_plain_user(attack_tests("-k", f"gains_nothing and ({QUICK})"), 200)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
+    assert int(done.stdout.split(" passed")[0].split()[-1]) >= 10
+
+
+def attack_tests(*options):
+    """Python's arguments for the tests of this file, for `run_as_plain_user`."""
+    plain = ("-m", "pytest", "-q", "-p", "no:cacheprovider", "--basetemp=HOME/tests")
+    return [*plain, str(Path(__file__).relative_to(CHECKOUT)), *options]
+
+
 def test_good_students_among_them_have_full_marks(graded):
     """Ten correct solutions, graded by the same two workers before, between and after attacks."""
     assert [graded[0][f"good{number}"]["points"] for number in range(10)] == [75.0] * 10
@@ -102,7 +127,9 @@ def test_wrong_solution_alone_has_no_points(tmp_path, monkeypatch):
     )
     (tmp_path / "wrong.ipynb").write_bytes(toys.notebook_bytes(*cells))
     assert (
-        Grade(str(toys.LAB), tmp_path / "wrong.ipynb", tmp_path / "out", workers=1, json=True).run()
+        Grade(
+            str(toys.LAB), (tmp_path / "wrong.ipynb",), tmp_path / "out", workers=1, json=True
+        ).run()
         == 0
     )
     assert read_grade_records(tmp_path / "out")[0]["points"] == 0.0

@@ -34,13 +34,13 @@ def test_cluster_gives_the_records_of_this_machine(tmp_path, monkeypatch):
         start_worker(), start_worker()
         clusters.wait_for_workers(address, 2)
         assert (
-            Grade(str(toys.LAB), students, tmp_path / "there", cluster=address, json=True).run()
+            Grade(str(toys.LAB), (students,), tmp_path / "there", cluster=address, json=True).run()
             == 0
         )
     (tmp_path / "here").mkdir()
     shutil.copy(tmp_path / "there" / "run.json", tmp_path / "here")
     monkeypatch.setattr(grading, "_require_sandbox", lambda: None)
-    assert Grade(str(toys.LAB), students, tmp_path / "here", workers=1, json=True).run() == 0
+    assert Grade(str(toys.LAB), (students,), tmp_path / "here", workers=1, json=True).run() == 0
     there, here = (last_records(read_grade_records(tmp_path / name)) for name in ("there", "here"))
     assert there == here and len(here) == 4 and 0.0 < here["s1"]["points"] < 75.0
 
@@ -53,4 +53,4 @@ def test_hole_of_one_worker_is_refused(tmp_path, monkeypatch):
     )
     (tmp_path / "ada.ipynb").write_bytes(toys.notebook_bytes(toys.HEAD))
     with pytest.raises(InputError, match=r"got 1 holes \(tcp://b: network: a listener answered\)"):
-        Grade(str(toys.LAB), tmp_path / "ada.ipynb", tmp_path / "out", cluster="tcp://x").run()
+        Grade(str(toys.LAB), (tmp_path / "ada.ipynb",), tmp_path / "out", cluster="tcp://x").run()

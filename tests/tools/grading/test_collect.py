@@ -1,18 +1,27 @@
 """Collector: a function's dependencies are collected, whatever happened to the cells."""
 
 import json
+import resource
+import sys
+import time
 
 import pytest
 
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.grading import collect
+from falconwing_kit.tools.grading.bounded import TooMuchError, call_bounded
 from falconwing_kit.tools.grading.collect import (
+    MAX_CELLS,
     MAX_FILE,
+    Source,
     collect_source,
+    collect_sources,
     parse_notebook,
     read_notebook,
     require_notebook_of,
 )
 from tests.tools.grading import toys
+from tests.tools.grading.hostile import NOTEBOOKS, notebook_of
 
 
 def source_of(*cells, name="f", packages=("numpy",)):
@@ -247,3 +256,81 @@ def test_cells_know_their_role(tmp_path):
         (False, "answer", "q1"),
         (True, "figure", "radius"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("name", "size"), [("a line of blanks", 40_000), ("a chain of names", 120_000)]
+)
+def test_collecting_is_linear(name, size):
+    """By the patterns and searches of earlier versions these took 20 and 4 s; linear, 0.1 s."""
+    notebook = parse_notebook(notebook_of(name, size), "a.ipynb")
+    begin = time.process_time()
+    collect_source(notebook, "stretch")
+    assert time.process_time() - begin < 1.0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the grader's limits are Linux's")
+@pytest.mark.parametrize(
+    "name", ["a line of blanks", "functions without end", "a list of lists", "millions of cells"]
+)
+def test_the_slowest_notebooks_are_read_within_ten_seconds(name):
+    """Of processor time, children's included; all of them: bench_attacks.py."""
+    begin = _processor_s()
+    try:
+        notebook = parse_notebook(NOTEBOOKS[name](), "a.ipynb")
+        found = collect_sources(notebook, ["stretch", "brake"])
+        assert found["brake"].text
+    except InputError as error:
+        assert "expected" in str(error)
+    assert _processor_s() - begin < 10.0
+
+
+def _processor_s():
+    own, children = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the grader's limits are Linux's")
+@pytest.mark.parametrize("how", ["time", "memory"])
+def test_code_that_python_itself_cannot_read_is_the_students_problem(monkeypatch, how):
+    """Whatever input makes the parser slow or large: 8 s and 1 GiB stand for it."""
+
+    def endless(*_):
+        kept = []
+        while how == "time" and time.process_time() < 8.0:
+            pass
+        while how == "memory" and len(kept) < 1024:
+            kept.append(bytearray(1 << 20))
+        return Source("")
+
+    monkeypatch.setattr(collect, "COLLECT_S", 1.0 if how == "time" else 60.0)
+    monkeypatch.setattr(collect, "COLLECT_MIB", 100)
+    monkeypatch.setattr(collect, "collect_source", endless)
+    begin = _processor_s()
+    with pytest.raises(InputError, match="expected code that is read within"):
+        collect_sources(parse_notebook(toys.notebook_bytes("f = 1"), "a.ipynb"), ["f"])
+    assert _processor_s() - begin < 5.0
+
+
+def test_several_functions_are_those_collected_one_by_one():
+    """The bounded child's answers are the same."""
+    notebook = parse_notebook(toys.notebook_bytes("A = 1\ndef f(): return A", "g = B"), "a.ipynb")
+    names = ["f", "g", "h"]
+    found = collect_sources(notebook, names)
+    assert found == {name: collect_source(notebook, name) for name in names}
+    assert all(isinstance(each, Source) for each in found.values())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes fork there")
+def test_bounded_calls_answer_or_fail():
+    """A result passes whole, larger than a pipe holds; an error of the kit's gives none."""
+    assert call_bounded(lambda: ["x" * 200_000, {"a": 1.5}], 1.0, 64) == ["x" * 200_000, {"a": 1.5}]
+    with pytest.raises(TooMuchError):
+        call_bounded(lambda: 1 / 0, 1.0, 64)
+
+
+def test_too_many_cells_are_refused():
+    """One more than the limit."""
+    data = b'{"cells": [' + b"{}," * MAX_CELLS + b"{}]}"
+    with pytest.raises(InputError, match=f"at most {MAX_CELLS} cells"):
+        parse_notebook(data, "a.ipynb")

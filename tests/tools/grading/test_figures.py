@@ -14,6 +14,7 @@ from falconwing_kit.tools.grading.course.figures import (
     missing_for_running,
     run_notebook,
 )
+from falconwing_kit.tools.grading.sandbox import limits
 from tests.tools.grading import toys
 
 DRAW = "import matplotlib.pyplot as plt\nplt.plot([1, 2])\nplt.show()"
@@ -145,6 +146,25 @@ def test_notebook_that_ends_badly_harms_nobody(text, drawn, monkeypatch):
     assert time.monotonic() - begun < 60.0  # 25 s and a loaded machine's start
     assert len(figures_in(content, "a")) == drawn
     assert toys.groups_left() == [] and toys.processes_with("notebook_runner.py") == []
+
+
+@toys.needs_sandbox
+@needs_kernel
+def test_children_that_fill_the_memory_end_the_run_without_control_groups(monkeypatch):
+    """As for a plain user: four children of 300 MiB are more than 1 GiB together, none alone is."""
+    text = """import os, time
+for _ in range(4):
+    if os.fork() == 0:
+        kept = bytearray(b"x") * (300 << 20)
+        time.sleep(60)
+        os._exit(0)
+time.sleep(60)"""
+    monkeypatch.setattr(limits, "_parents", lambda: ())
+    monkeypatch.setattr(figures, "MEMORY", 1 << 30)
+    begun = time.monotonic()
+    assert run_notebook(toys.notebook_bytes(text), FILES, {"offset": 2.5}) is None
+    assert time.monotonic() - begun < 40.0
+    assert toys.processes_with("notebook_runner.py") == []
 
 
 @toys.needs_sandbox

@@ -91,19 +91,20 @@ def test_damaged_notebooks_never_stop_a_class(tmp_path, capsys):
     students = write_class(
         tmp_path / "students", ((name, data) for name, (data, _) in DAMAGE.items())
     )
-    assert Grade(str(toys.LAB), students, tmp_path / "out").run() == 0
+    assert Grade(str(toys.LAB), (students,), tmp_path / "out").run() == 0
     records = last_records(read_grade_records(tmp_path / "out"))
     found = {
-        name: each["points"] if each["status"] == "graded" else None
+        name: each["points"] if each["status"] in ("graded", "wrong lab") else None
         for name, each in records.items()
     }
     assert found == {name: points for name, (_, points) in DAMAGE.items()}
     assert all(each["problem"] for each in records.values() if each["status"] == "unreadable")
     assert "code cell 2 is not Python" in json.dumps(records["split inside a function"])
     shown = capsys.readouterr().out
-    assert "! empty: unreadable: the notebook: expected a Jupyter notebook" in shown
+    assert "! empty: unreadable: the notebook: expected a Jupyter notebook, got an empty" in shown
+    assert "! wrong kernel: wrong lab: none of its functions" in shown
     assert (
-        f"{sum(p is not None for _, p in DAMAGE.values())} of {len(DAMAGE)} submissions graded"
+        f"{sum(p is not None for _, p in DAMAGE.values()) - 1} of {len(DAMAGE)} submissions graded"
         in shown
     )
 
@@ -124,7 +125,7 @@ def undisturbed(tmp_path_factory):
             for n in range(6)
         ),
     )
-    assert Grade(str(toys.LAB), students, folder / "out", workers=2, json=True).run() == 0
+    assert Grade(str(toys.LAB), (students,), folder / "out", workers=2, json=True).run() == 0
     return students, folder / "out"
 
 
@@ -214,7 +215,7 @@ def test_killed_run_goes_on_where_it_was(undisturbed, tmp_path):
     assert len(read_grade_records(out)) < 6
     with (out / "records.jsonl").open("ab") as file:
         file.write(b'{"student": "half a li')
-    assert Grade(str(toys.LAB), students, out, resume=True, json=True).run() == 0
+    assert Grade(str(toys.LAB), (students,), out, resume=True, json=True).run() == 0
     assert (out / "records.jsonl").read_bytes().startswith(done)
     assert records_in(out) == records_in(earlier)
     assert (out / "gradebook.csv").read_bytes() == (earlier / "gradebook.csv").read_bytes()
@@ -225,10 +226,10 @@ def test_regrade_is_bit_identical_and_resume_does_nothing_twice(undisturbed, cap
     """Nothing differs, so nothing is written; resuming a finished run grades nobody."""
     students, out = undisturbed
     before = (out / "records.jsonl").read_bytes()
-    assert Grade(str(toys.LAB), students, out, regrade=True, workers=1, json=True).run() == 0
+    assert Grade(str(toys.LAB), (students,), out, regrade=True, workers=1, json=True).run() == 0
     assert json.loads(capsys.readouterr().out)["changed"] == 0
     assert (out / "records.jsonl").read_bytes() == before
-    assert Grade(str(toys.LAB), students, out, resume=True, json=True).run() == 0
+    assert Grade(str(toys.LAB), (students,), out, resume=True, json=True).run() == 0
     shown = json.loads(capsys.readouterr().out)
     assert (shown["graded_now"], shown["left"], shown["graded"]) == (0, 6, 6)
 
@@ -241,7 +242,7 @@ def test_salt_changes_the_course(undisturbed, tmp_path):
     )
     for salt, points in (("", 75.0), ("pepper", 25.0)):
         out = tmp_path / f"out{salt}"
-        assert Grade(str(toys.LAB), students, out, workers=1, salt=salt, json=True).run() == 0
+        assert Grade(str(toys.LAB), (students,), out, workers=1, salt=salt, json=True).run() == 0
         assert records_in(out)["ada"]["points"] == points
 
 
@@ -254,11 +255,16 @@ def test_a_hole_stops_the_grading_unless_it_is_accepted(tmp_path, monkeypatch):
         lambda: [ProbeResult("network", False, "a port")],
     )
     with pytest.raises(InputError, match="network: a port"):
-        Grade(str(toys.LAB), students, tmp_path / "out").run()
+        Grade(str(toys.LAB), (students,), tmp_path / "out").run()
     assert not (tmp_path / "out").exists()
     assert (
         Grade(
-            str(toys.LAB), students, tmp_path / "out", workers=1, unsafe_no_sandbox=True, json=True
+            str(toys.LAB),
+            (students,),
+            tmp_path / "out",
+            workers=1,
+            unsafe_no_sandbox=True,
+            json=True,
         ).run()
         == 0
     )
@@ -278,7 +284,9 @@ def test_judge_that_fails_is_for_a_person(tmp_path, capsys):
     broken = (toys.LAB / "hidden.py").read_text().replace("gain * x + offset,", "gain * x + 1 / 0,")
     (lab / "hidden.py").write_text(broken)
     students = write_class(tmp_path / "students", [("ada", toys.notebook_bytes(*SOURCES))])
-    assert Grade(str(lab), students, tmp_path / "out", workers=1, unsafe_no_sandbox=True).run() == 1
+    assert (
+        Grade(str(lab), (students,), tmp_path / "out", workers=1, unsafe_no_sandbox=True).run() == 1
+    )
     record = read_grade_records(tmp_path / "out")[0]
     assert (record["status"], record["points"]) == ("error", None)
     assert "! ada: error: stretch: the judge's reference failed" in capsys.readouterr().out

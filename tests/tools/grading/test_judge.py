@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falconwing_kit.tools.grading.find import load_checks
+from falconwing_kit.tools.grading import judge
+from falconwing_kit.tools.grading.find import lab_folders, load_checks
 from falconwing_kit.tools.grading.judge import (
     Assignment,
     GradingTask,
@@ -18,9 +19,11 @@ from falconwing_kit.tools.grading.judge import (
     grade_submission,
 )
 from falconwing_kit.tools.grading.lab import Trials, Values
+from falconwing_kit.tools.grading.salt import course_mark
 from falconwing_kit.tools.grading.sandbox.host import StudentError
 from falconwing_kit.tools.grading.submissions import Submission, find_submissions
 from tests.tools.grading import toys
+from tests.tools.grading.small_lab import write_small_lab
 
 DOUBLE = Values(lambda rng: (rng.normal(size=3),), lambda x: 2.0 * x, cases=3)
 
@@ -89,11 +92,12 @@ def test_judges_own_failure_is_no_students_mistake(broken):
 def handed_in(tmp_path):
     """Grades a notebook of cells in plain processes."""
 
-    def grade(*cells, seed="", secret="s", name="ada.ipynb", data=None):
-        (tmp_path / name).write_bytes(toys.notebook_bytes(*cells) if data is None else data)
+    def grade(*cells, seed="", secret="s", name="ada.ipynb", data=None, salt="", **more):
+        content = toys.notebook_bytes(*cells, **more) if data is None else data
+        (tmp_path / name).write_bytes(content)
         (submission,) = find_submissions(tmp_path / name, "lab00")
         return grade_submission(
-            GradingTask(submission, seed), Assignment(toys.LAB, "", secret, sandboxed=False)
+            GradingTask(submission, seed), Assignment(toys.LAB, salt, secret, sandboxed=False)
         )
 
     return grade
@@ -128,13 +132,13 @@ def test_seed_follows_from_secret_student_and_notebook(handed_in):
     Nobody can know them beforehand.
     """
     seeds = {
-        handed_in(toys.HEAD)["seed"],
-        handed_in(toys.HEAD, secret="t")["seed"],
-        handed_in(toys.HEAD, name="bob.ipynb")["seed"],
-        handed_in(toys.HEAD, "1")["seed"],
+        handed_in(toys.BRAKE)["seed"],
+        handed_in(toys.BRAKE, secret="t")["seed"],
+        handed_in(toys.BRAKE, name="bob.ipynb")["seed"],
+        handed_in(toys.BRAKE, "1")["seed"],
     }
     assert len(seeds) == 4
-    assert handed_in(toys.HEAD)["seed"] in seeds
+    assert handed_in(toys.BRAKE)["seed"] in seeds
 
 
 def test_untouched_and_missing_functions_have_no_points(handed_in):
@@ -195,3 +199,26 @@ def test_work_and_assignment_can_be_sent():
 def test_toy_lab_sums_to_its_points():
     """75 for the machine, as in every lab."""
     assert sum(exercise.points for exercise in load_checks(toys.LAB).exercises) == 75.0
+
+
+def test_notebook_of_another_lab_is_said(handed_in, monkeypatch, tmp_path):
+    """By its functions: lab01's small lab beside the toy lab; without any, only that they are not
+    there. One whose functions were deleted is this lab's still, by the marks of its cells.
+    """
+    write_small_lab(tmp_path)
+    monkeypatch.setattr(judge, "lab_folders", lambda _: lab_folders(tmp_path))
+    other = handed_in("def weight(mass): return mass")
+    assert (other["status"], other["points"]) == ("wrong lab", 0.0)
+    assert other["problem"] == "a notebook of lab01, not of lab00; ask for the notebook of lab00"
+    assert "none of its functions" in handed_in("x = 1")["problem"]
+    assert handed_in(toys.cell("1", figure="figure"))["status"] == "graded"
+
+
+def test_notebook_of_another_course_is_said(handed_in):
+    """The mark comes with what is handed out; the open course has none."""
+    ours = course_mark("key of ours")
+    for mark, salt, said in ((ours, "key of ours", ""), (ours, "another", "another course")):
+        metadata = {"falconwing_course": mark}
+        record = handed_in(toys.STRETCH, salt=salt, metadata=metadata)
+        assert record["status"] == "graded" and said in record["problem"]
+        assert bool(record["problem"]) == bool(said)

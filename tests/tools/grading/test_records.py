@@ -10,6 +10,7 @@ from falconwing_kit.tools.grading.records import (
     last_records,
     open_run,
     read_grade_records,
+    spreadsheet_cell,
     write_points_table,
 )
 
@@ -91,3 +92,25 @@ def test_gradebook_is_a_table_that_runs_no_formula(tmp_path):
     assert rows[0] == ["student", "f", "g", "points", "of", "status", "note", "sandboxed"]
     assert rows[1] == ['\'=1+"1",', "", "", "", "75.0", "error", "the box, it failed", "True"]
     assert rows[2] == ["ada", "2.5", "", "2.5", "75.0", "graded", "", "True"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", " =1", "\u200b=1", "\ufeff=1"),
+        *("\uff1d1+1", "\uff0b1", "\uff0d1", "\uff20x", "\ufe66" + "1", "\u207c1", "\u22121"),
+    ],
+)
+def test_every_form_of_a_formulas_sign_is_quoted(text):
+    """Full-width, small, raised, behind blanks or unseen characters; by Unicode's tables.
+
+    A ' at the front makes a spreadsheet show it as a text; alone in its cell or behind a semicolon.
+    """
+    assert str(spreadsheet_cell(text)).startswith("'")
+    assert str(spreadsheet_cell(f"Ada;{text}")).startswith("Ada;'")
+
+
+@pytest.mark.parametrize("value", ["Ada-Lou M\u00fcller", "a=b", "", 3, 2.5, -1.0, True, "3;4"])
+def test_other_cells_stay(value):
+    """Names, texts and numbers; a negative number is no formula."""
+    assert spreadsheet_cell(value) == value

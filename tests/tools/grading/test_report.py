@@ -62,7 +62,7 @@ def graded(tmp_path_factory):
         }
         for name, data in class_.items():
             (students / f"{name}.ipynb").write_bytes(data)
-        assert Grade(str(toys.LAB), students, folder / "grades", json=True).run() == 0
+        assert Grade(str(toys.LAB), (students,), folder / "grades", json=True).run() == 0
         yield folder
 
 
@@ -70,7 +70,7 @@ def graded(tmp_path_factory):
 def report(graded):
     """The whole report, once."""
     words = dict(
-        submissions=graded / "students", to=("gradescope", "csv"), before=graded / "students"
+        submissions=(graded / "students",), to=("gradescope", "csv"), before=graded / "students"
     )
     assert Report(str(toys.LAB), graded / "grades", graded / "report", **words).run() == 0
     return graded / "report"
@@ -177,7 +177,7 @@ def test_report_goes_on_where_it_was(report, graded, monkeypatch):
     monkeypatch.setattr(looks, "run_notebook", lambda *words: pytest.fail("looked again"))
     before = {path: path.read_bytes() for path in report.rglob("*") if path.is_file()}
     words = dict(
-        submissions=graded / "students",
+        submissions=(graded / "students",),
         to=("gradescope", "csv"),
         before=graded / "students",
         workers=1,
@@ -192,7 +192,7 @@ def test_without_a_box_nothing_is_run(graded, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(probe, "probe_sandbox", lambda: [hole])
     for name in ("run_notebook", "run_checks"):
         monkeypatch.setattr(looks, name, lambda *words: pytest.fail("a student's code was run"))
-    words = dict(submissions=graded / "students", workers=1)
+    words = dict(submissions=(graded / "students",), workers=1)
     assert Report(str(toys.LAB), graded / "grades", tmp_path / "r", **words).run() == 0
     assert (
         "! network: open: public checks were not run, and figures are as stored"
@@ -217,7 +217,7 @@ def test_changed_submission_is_not_taken_for_the_graded_one(graded, tmp_path, mo
             str(toys.LAB),
             graded / "grades",
             tmp_path / "r",
-            submissions=tmp_path / "now",
+            submissions=(tmp_path / "now",),
             workers=1,
         ).run()
         == 0
@@ -228,7 +228,7 @@ def test_changed_submission_is_not_taken_for_the_graded_one(graded, tmp_path, mo
 
 def test_wrong_records_are_refused(graded, tmp_path):
     """Another salt would draw other numbers; another folder has no records."""
-    with pytest.raises(InputError, match="expected the --salt that this lab was graded with"):
+    with pytest.raises(InputError, match="--course or --salt that this lab was graded with"):
         Report(
             str(toys.LAB), graded / "grades", tmp_path / "r", salt="another secret of a course"
         ).run()

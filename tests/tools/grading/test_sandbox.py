@@ -18,6 +18,7 @@ from falconwing_kit.tools.grading.sandbox.host import (
     sandbox_worker,
 )
 from tests.tools.grading import toys
+from tests.tools.grading.plain_user import run_as_plain_user
 
 BOXES = {"in_process": process_worker, "in_box": sandbox_worker}
 
@@ -123,7 +124,75 @@ def f():
 
 
 @toys.needs_sandbox
-def test_nothing_outlives_a_box():
+def test_a_function_sees_no_path_of_this_machine():
+    """bubblewrap's command line can be read inside; its mounts name the grader's folders."""
+    text = """import os
+def f():
+    seen = [each for each in os.listdir("/proc") if each.isdigit()]
+    return [open(f"/proc/{each}/cmdline", "rb").read().decode() for each in seen]"""
+    with sandbox_worker(job(text)) as worker:
+        lines = worker.call()
+    assert any("bwrap" in line for line in lines)
+    assert not [line for line in lines if str(toys.LAB.parents[2]) in line or "given.py" in line]
+
+
+@toys.needs_sandbox
+def test_no_process_can_be_started_and_threads_can():
+    """Only so does a process's own limit of memory bound the sandbox; by fork, spawn and shell."""
+    python = "sys.executable, [sys.executable, '-c', '']"
+    for start in ("os.fork()", f"os.posix_spawn({python}, {{}})", "subprocess.run(['true'])"):
+        text = f"import os, subprocess, sys\ndef f(): return {start}"
+        assert category(sandbox_worker, text) == "exception"  # PermissionError
+    text = """import threading
+def f():
+    found = []
+    one = threading.Thread(target=found.append, args=(7,))
+    one.start(); one.join()
+    return found"""
+    with sandbox_worker(job(text)) as worker:
+        assert worker.call() == [7]
+
+
+@toys.needs_sandbox
+@pytest.mark.parametrize("filtered", [True, False])
+def test_plain_users_memory_is_bounded_or_the_probe_says_that_it_is_not(filtered):
+    """Without control groups: children, files in memory and shared memory are denied by the filter
+    of system calls; without the filter each holds more than 640 MiB, and the probe says so.
+    """
+    code = (
+        "from pathlib import Path\n"
+        "from falconwing_kit.tools.grading.sandbox import limits, probe, runtime\n"
+        f"if not {filtered}: runtime.seccomp_filter = lambda processes: b''\n"
+        "assert limits.controllers() == (), limits.controllers()\n"
+        f"print(*[each.name for each in probe._bounds(Path('HOME')) if not each.closed],"
+        " sep=',')"
+    )
+    done = run_as_plain_user(["-c", code], 100)
+    assert done.returncode == 0, done.stderr[-2000:]
+    open_ones = "" if filtered else "memory of children,files in memory,shared memory"
+    assert done.stdout.strip() == open_ones
+
+
+def test_memory_of_descendants_is_counted():
+    """A child of a child holds 64 MiB; it is counted, with what three interpreters take."""
+    deep = "x = bytearray(b'x') * (64 << 20); print(1, flush=True); input()"
+    code = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {deep!r}])"
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe) as process:
+        assert process.stdout.readline()
+        assert 64 << 20 <= limits.resident_bytes(process.pid) <= 200 << 20
+        process.stdin.close()
+    assert limits.resident_bytes(process.pid) == 0
+
+
+@pytest.fixture
+def without_filter(monkeypatch):
+    """Sandboxes that may start processes, to see what else holds."""
+    monkeypatch.setattr(runtime, "seccomp_filter", lambda processes: b"")
+
+
+@toys.needs_sandbox
+def test_nothing_outlives_a_box(without_filter):
     """A child that left its parents; and the control groups."""
     token = "token-of-test-box"
     text = (
@@ -178,7 +247,7 @@ def _wait(fulfilled):
     not hasattr(os, "geteuid") or os.geteuid() != 0,
     reason="root alone can make control groups anywhere",
 )
-def test_groups_bind_what_limits_do_not():
+def test_groups_bind_what_limits_do_not(without_filter):
     """Twelve children of 100 MiB each stay below one's own limit of 128.
 
     The box's memory ends some of them.

@@ -95,3 +95,10 @@ def test_copy_of_the_kit_and_of_an_earlier_class_is_found(tmp_path):
         "def brake(points" in texts["brake", "before: old_dan"]
         and texts["stretch", f"kit: {name}"] == text
     )
+
+
+def test_huge_functions_are_not_compared():
+    """A student's 2 MB would take minutes beside every classmate's; no function is so long."""
+    short = "def f(x):\n" + "    x = x + 1\n" * 20
+    assert fingerprints(short)
+    assert fingerprints(short + "    x = x + 1\n" * 10_000) == frozenset()

@@ -38,7 +38,11 @@ def found_in(path, lab="lab03"):
         ("ada/lab03.ipynb", "ada"),
         ("ada/week 3/lab03.ipynb", "ada"),
         ("Ada Lovelace_4711_assignsubmission_file_/lab03.ipynb", "Ada Lovelace_4711"),
-        ("export/Ada Lovelace_4711_assignsubmission_file/lab03.ipynb", "Ada Lovelace_4711"),
+        ("Ada Lovelace_4711_assignsubmission_file_lab03.ipynb", "Ada Lovelace_4711"),
+        ("Eve_9_assignsubmission_file_Ada_4711_assignsubmission_file_.ipynb", "Eve_9"),
+        ("evemallory_3_9_Ada_4711_assignsubmission_file_.ipynb", "evemallory_3"),
+        ("eve/Ada Lovelace_4711_assignsubmission_file/lab03.ipynb", "eve"),
+        ("eve/lovelaceada_123_456_lab03.ipynb", "eve"),
         ("lovelaceada_123_456_lab03.ipynb", "lovelaceada_123"),
         ("lovelaceada_LATE_123_456_lab03-2.ipynb", "lovelaceada_123"),
         ("lovelaceada_123_456_work/lab03.ipynb", "lovelaceada_123"),
@@ -123,7 +127,7 @@ def test_links_are_not_followed(tmp_path):
     link.external_attr = (stat.S_IFLNK | 0o777) << 16
     (students / "eve.zip").write_bytes(zipped([(link, "/etc/passwd")]))
     found = found_in(students)
-    assert sorted(found) == ["ada", "eve"]
+    assert sorted(found) == ["ada", "bob", "eve"]
     for each in found.values():
         assert "link" in each.problem
         assert each.sha256 == ""
@@ -175,6 +179,108 @@ def test_damaged_and_locked_files_are_reported(tmp_path):
     found = found_in(tmp_path)
     assert sorted(found) == ["ada", "cut", "flipped", "nest", "none", "pipe"]
     assert [name for name, each in found.items() if not each.problem] == ["ada"]
+
+
+ADA, EVE = toys.notebook_bytes(toys.STRETCH), toys.notebook_bytes(toys.BRAKE)
+FUTURE = (2107, 12, 31, 23, 59, 58)  # the last date of a zip
+ADAS_NAMES = (  # what Eve calls her files inside of what is hers
+    "Ada_1_assignsubmission_file_/lab03.ipynb",
+    "lovelaceada_1_2_lab03.ipynb",
+    "lovelaceada_1_2_lab03/lab03.ipynb",
+    "ada/lab03.ipynb",
+    "lab03_ada.ipynb",
+    "ada.ipynb",
+    "../ada/lab03.ipynb",
+    "/ada.ipynb",
+)
+
+
+@pytest.mark.parametrize("name", ADAS_NAMES)
+@pytest.mark.parametrize("layout", ["moodle", "canvas", "folders", "zips"])
+def test_nobody_replaces_a_classmate_by_names_in_their_own_archive(tmp_path, layout, name):
+    """Ada's notebook stays hers, and Eve stays Eve, whatever Eve's zip says, dated 2107.
+
+    By hand: each of Ada's entries comes from the platform, each name of ADAS_NAMES from Eve.
+    """
+    inner = zipped([(zipfile.ZipInfo(name, FUTURE), EVE)])
+    if layout in ("moodle", "canvas"):
+        ada, eve = {
+            "moodle": ("Ada_1_assignsubmission_file_/lab03.ipynb", "Eve_2_assignsubmission_file_/"),
+            "canvas": ("lovelaceada_1_2_lab03.ipynb", "evemallory_3_9_"),
+        }[layout]
+        place = tmp_path / "export.zip"
+        place.write_bytes(zipped([(ada, ADA), (f"{eve}all.zip", inner)]))
+    else:
+        place = tmp_path / "class"
+        (place / "ada").mkdir(parents=True)
+        (place / "ada" / "lab03.ipynb").write_bytes(ADA)
+        os.utime(place / "ada" / "lab03.ipynb", (1e9, 1e9))
+        mine = place / "eve" / "all.zip" if layout == "folders" else place / "eve.zip"
+        mine.parent.mkdir(exist_ok=True)
+        mine.write_bytes(inner)
+    found = {each.student: each for each in find_submissions(place, "lab03")}
+    adas, eves = sorted(found)
+    assert (adas[:3].lower(), eves[:3].lower()) in (("ada", "eve"), ("eve", "lov"))
+    mine = next(each for student, each in found.items() if "eve" in student.lower())
+    hers = next(each for student, each in found.items() if "ada" in student.lower())
+    assert hers.read() == ADA
+    assert not hers.problem
+    assert not mine.sha256 or mine.read() == EVE
+
+
+@pytest.mark.parametrize(
+    "other", ["lab03_ada.ipynb", "ada-lab03.ipynb", "a\u200bda.ipynb", "ada.zip", "ada"]
+)
+def test_a_name_that_several_claim_is_left_to_a_person(tmp_path, other):
+    """Next to ada.ipynb: a second name for the same student may be somebody else's."""
+    (tmp_path / "ada.ipynb").write_bytes(ADA)
+    if other == "ada":
+        (tmp_path / other).mkdir()
+        (tmp_path / other / "lab03.ipynb").write_bytes(EVE)
+    else:
+        content = zipped([("lab03.ipynb", EVE)]) if other.endswith(".zip") else EVE
+        (tmp_path / other).write_bytes(content)
+    (each,) = find_submissions(tmp_path, "lab03")
+    assert (each.student, each.disputed, each.sha256) == ("ada", True, "")
+    assert "several have this name" in each.problem
+
+
+@pytest.mark.parametrize("kind", ["folder", "zip"])
+def test_names_in_a_single_folder_are_not_taken_for_the_platforms(tmp_path, kind):
+    """A late student's own folder and an export in a folder look the same: refused, with advice."""
+    name = "Ada_1_assignsubmission_file_/lab03.ipynb"
+    if kind == "zip":
+        place = tmp_path / "late.zip"
+        place.write_bytes(zipped([(f"eve/{name}", EVE)]))
+    else:
+        place = tmp_path
+        (tmp_path / "eve" / name).parent.mkdir(parents=True)
+        (tmp_path / "eve" / name).write_bytes(EVE)
+    with pytest.raises(InputError, match="got one folder, eve, with a platform's names"):
+        find_submissions(place, "lab03")
+
+
+def test_a_folder_of_too_many_files_is_its_owners_problem(tmp_path, monkeypatch):
+    """Five files stand for 20,000: Eve's are not searched, Ada's are found."""
+    monkeypatch.setattr(submissions, "MAX_ENTRIES", 4)
+    for student, count in {"ada": 1, "eve": 5}.items():
+        (tmp_path / student).mkdir()
+        for number in range(count):
+            (tmp_path / student / f"{number}.ipynb").write_bytes(GOOD)
+    found = found_in(tmp_path)
+    assert found["ada"].read() == GOOD
+    assert "more than 4 files" in found["eve"].problem
+
+
+def test_of_versions_with_the_same_time_the_last_number_counts(tmp_path):
+    """Canvas numbers what is handed in again (lab03-2), browsers what is downloaded again."""
+    for first, second in (("lab03.ipynb", "lab03-2.ipynb"), ("lab03-9.ipynb", "lab03-10.ipynb")):
+        place = tmp_path / first
+        place.mkdir()
+        entries = [(f"lovelaceada_1_{n}_{name}", GOOD) for n, name in enumerate((second, first))]
+        (place / "export.zip").write_bytes(zipped(entries))
+        (each,) = find_submissions(place / "export.zip", "lab03")
+        assert each.name.endswith(second)
 
 
 @pytest.mark.parametrize("make", ["nothing", "empty"])

@@ -14,6 +14,7 @@ import struct
 import subprocess
 import tempfile
 import threading
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -54,7 +55,8 @@ def run_notebook(
         work = runtime.WORK
         files = {notebook.fileno(): work / "notebook.ipynb", cohort.fileno(): work / "cohort.json"}
         own = _libraries() | {path: work / name for path, name in lab_files.items()}
-        box = runtime.sandbox_command(("numpy",), own, files, Path(notebook_runner.__file__).name)
+        script = Path(notebook_runner.__file__).name
+        box = runtime.sandbox_command(("numpy",), own, files, script, processes=True)
         group = limits.make_group(PROCESSES, MEMORY)
         become, out = limits.make_preexec(group, box.staged), subprocess.PIPE
         process = subprocess.Popen(
@@ -64,9 +66,11 @@ def run_notebook(
             stderr=subprocess.DEVNULL,
             env={},
             preexec_fn=become,
-            pass_fds=tuple(files),
+            pass_fds=(*files, *box.descriptors),
             start_new_session=True,
         )
+        for descriptor in box.descriptors:
+            os.close(descriptor)
     return _read_reply(process, group)
 
 
@@ -99,12 +103,22 @@ def _read_reply(
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
 
-    watch = threading.Timer(SECONDS, end)
-    watch.start()
+    over, last = threading.Event(), time.monotonic() + SECONDS
+    bound = "memory" in limits.controllers()
+
+    def watch() -> None:
+        """End the run at its limits; the kernel does so for the memory of a control group."""
+        while not over.wait(0.05):
+            full = not bound and limits.resident_bytes(process.pid) > MEMORY
+            if full or time.monotonic() > last:
+                end()
+                return
+
+    threading.Thread(target=watch, daemon=True).start()
     try:
         reply = process.stdout.read(MAX_OUT + 1)  # type: ignore[union-attr]
     finally:
-        watch.cancel()
+        over.set()
         end()
         process.communicate()
         group.remove()

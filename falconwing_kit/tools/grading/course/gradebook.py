@@ -5,11 +5,9 @@ points are given.
 """
 
 import csv
-import hashlib
 import io
 import json
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +16,7 @@ from typing import Any
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write, read_text
 from falconwing_kit.tools.grading.lab import Lab, total_points
-from falconwing_kit.tools.grading.records import spreadsheet_cell
+from falconwing_kit.tools.grading.records import safe_file_name, spreadsheet_cell
 
 COMMENT = "comment"  # column of the rubric file for the student
 
@@ -59,7 +57,9 @@ class GradebookEntry:
 
     @property
     def total(self) -> float | None:
-        """All points; None while some are missing."""
+        """All points; 0 for nothing handed in; None while some are missing."""
+        if self.record["status"] == "missing":
+            return 0.0
         given = [self.person.points.get(each.name) for each in self.lab.rubric]
         if self.machine is None or None in given:
             return None
@@ -73,9 +73,7 @@ class GradebookEntry:
     @property
     def file_name(self) -> str:
         """A unique file name for the student that is valid on every system."""
-        plain = re.sub(r"[^A-Za-z0-9_@+-]+", "_", self.student).strip("_")[:48]
-        mark = hashlib.sha256(self.student.encode()).hexdigest()[:6]
-        return self.student if plain == self.student else f"{plain or 'student'}-{mark}"
+        return safe_file_name(self.student)
 
 
 def make_entries(
@@ -128,7 +126,7 @@ def read_rubric(path: Path, lab: Lab, students: Iterable[str]) -> dict[str, Manu
         }
         comment = (row.get(COMMENT) or "").strip()
         found[student] = ManualGrade(
-            points, comment[1:] if comment[:2] in ("'=", "'+", "'-", "'@") else comment
+            points, comment[1:] if spreadsheet_cell(comment[1:]) == comment else comment
         )
     return found
 
@@ -154,6 +152,7 @@ def write_gradebook(path: Path, lab: Lab, entries: Sequence[GradebookEntry]) -> 
         "total",
         "of",
         "status",
+        "late days",
         "note",
         "sandboxed",
         COMMENT,
@@ -167,6 +166,9 @@ def write_gradebook(path: Path, lab: Lab, entries: Sequence[GradebookEntry]) -> 
             entry.total,
             entry.of,
             record["status"],
+            "unknown"
+            if record.get("late") and record["late_days"] is None
+            else record.get("late_days", 0),
             record["problem"],
             record["sandboxed"],
             entry.person.comment,

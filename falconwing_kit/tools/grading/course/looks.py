@@ -12,7 +12,8 @@ from typing import Any
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.collect import (
     Notebook,
-    collect_source,
+    Source,
+    collect_sources,
     parse_notebook,
     read_notebook,
 )
@@ -132,10 +133,11 @@ def inspect_submission(work: InspectionTask, context: ReportContext) -> dict[str
     try:
         data = work.submission.read()
         notebook = parse_notebook(data, "the notebook")
+        written = collect_sources(notebook, [each.name for each in lab.exercises], lab.packages)
     except (InputError, OSError, MemoryError) as error:
         return empty_inspection(str(error)[:300])
     checks = (
-        _checks(GradingContext(context.folder, lab, Course(constants)), notebook, work.failed)
+        _checks(GradingContext(context.folder, lab, Course(constants)), written, work.failed)
         if context.sandboxed
         else {}
     )
@@ -146,7 +148,7 @@ def inspect_submission(work: InspectionTask, context: ReportContext) -> dict[str
         "checks": checks,
         "figures": figures,
         "answers": answers,
-        "sources": sources(notebook, lab),
+        "sources": {name: source.text for name, source in written.items()},
     }
     return empty_inspection("") | seen
 
@@ -157,22 +159,23 @@ def empty_inspection(problem: str) -> dict[str, Any]:
 
 
 def sources(notebook: Notebook, lab: Lab) -> dict[str, str]:
-    """Source of each exercise's function with its dependencies; empty if missing."""
-    return {
-        each.name: collect_source(notebook, each.name, lab.packages).text for each in lab.exercises
-    }
+    """Source of each exercise's function with its dependencies; empty if missing.
+
+    Raises:
+        InputError: as `collect_sources`.
+    """
+    names = [each.name for each in lab.exercises]
+    found = collect_sources(notebook, names, lab.packages)
+    return {name: source.text for name, source in found.items()}
 
 
 def _checks(
-    context: GradingContext, notebook: Notebook, names: tuple[str, ...]
+    context: GradingContext, sources: Mapping[str, Source], names: tuple[str, ...]
 ) -> dict[str, list[tuple[Any, ...]]]:
     """Public check results of some exercises, each in a fresh sandbox."""
     outcomes = {}
     for name in names:
-        exercise, source = (
-            context.lab.exercise(name),
-            collect_source(notebook, name, context.lab.packages),
-        )
+        exercise, source = context.lab.exercise(name), sources[name]
         if source.text:
             with context.worker(exercise, source.text) as worker:
                 found = run_checks(exercise, worker.call)

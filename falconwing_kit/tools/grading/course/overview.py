@@ -1,12 +1,14 @@
 """Overview: statistics and similarities of a class -> one page for the instructor."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from falconwing_kit.tools.grading.course.gradebook import GradebookEntry
 from falconwing_kit.tools.grading.course.items import ItemStatistics
 from falconwing_kit.tools.grading.course.similar import Similarity
+from falconwing_kit.tools.grading.judge import STATES, record_state
 from falconwing_kit.tools.grading.lab import Lab
 from falconwing_kit.tools.reports.page import write_page
 
@@ -33,7 +35,9 @@ def write_overview(
     done = [entry for entry in entries if entry.total is not None]
     marked = [entry.machine for entry in entries if entry.machine is not None]
     mean = f", {sum(marked) / len(marked):.1f} automatic points on average" if marked else ""
-    lead = f"{len(entries)} students{mean}; {len(done)} with manual points too."
+    states = Counter(record_state(entry.record) for entry in entries)
+    counts = " + ".join(f"{states[state]} {state}" for state in STATES if states[state])
+    lead = f"{len(entries)} students = {counts}{mean}; {len(done)} with manual points too."
     write_page(
         path,
         PAGE,

@@ -27,6 +27,7 @@ PIECE, WINDOW = 12, 4  # tokens of a piece; pieces of a winnowing window
 LEAST_PRINTS = 6  # minimum fingerprints of a compared function
 LEAST_SHARE = 0.6  # minimum common share of the smaller function's weight
 LISTED = 40  # maximum number of listed pairs of people
+MAX_COMPARED = 64 << 10  # characters of a compared function with its dependencies
 Fingerprints = frozenset[int]
 
 
@@ -86,8 +87,10 @@ def fingerprints(source: str) -> Fingerprints:
 
     Returns:
         Numbers that depend on the structure only, not on names, numbers, comments or layout. Empty
-        for text that is not Python or shorter than a piece.
+        for text that is not Python, shorter than a piece, or longer than MAX_COMPARED.
     """
+    if len(source) > MAX_COMPARED:
+        return frozenset()
     try:
         tree: ast.AST = ast.parse(source)
     except (SyntaxError, ValueError, RecursionError, MemoryError):

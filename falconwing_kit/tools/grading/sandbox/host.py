@@ -28,7 +28,7 @@ from falconwing_kit.tools.grading.sandbox import limits, protocol, runtime, work
 from falconwing_kit.tools.grading.sandbox.protocol import FrameError, read_frame, write_frame
 from falconwing_kit.tools.linux import require_linux
 
-PROCESSES = 16  # limit of the student's processes, threads included
+PROCESSES = 16  # limit of the student's threads; there are no further processes
 STARTING = 120.0  # s to start and to load libraries, not counted as the student's time
 _OUT_OF_TIME = 24  # Linux's SIGXCPU
 SPARE = 512 << 20  # bytes for interpreter, libraries and temporary files, beyond the student's
@@ -271,19 +271,20 @@ def sandbox_worker(job: SandboxJob) -> Worker:
     require_linux("sandbox", "apt install bubblewrap")
     own = {job.folder.resolve() / name: runtime.WORK / name for name in ("given.py", "data")}
     own |= {path: runtime.SANDBOX / path.name for path in _CODE}
-    cohort = os.memfd_create("cohort")
+    files = [os.memfd_create("cohort")]
     try:
-        os.pwrite(cohort, _cohort(job), 0)
-        command = runtime.sandbox_command(
-            job.packages, own, {cohort: runtime.WORK / "cohort.json"}, _CODE[0].name
-        )
+        os.pwrite(files[0], _cohort(job), 0)
+        inside = {files[0]: runtime.WORK / "cohort.json"}
+        command = runtime.sandbox_command(job.packages, own, inside, _CODE[0].name)
+        files += command.descriptors
         group = limits.make_group(PROCESSES + _OWN_PROCESSES, (job.memory_mib << 20) + SPARE)
         become = limits.make_preexec(group, command.staged)
         process = _start(
-            command.words, {}, preexec_fn=become, pass_fds=(cohort,), start_new_session=True
+            command.words, {}, preexec_fn=become, pass_fds=files, start_new_session=True
         )
     finally:
-        os.close(cohort)
+        for each in files:
+            os.close(each)
     return Worker(job, process, group, sandboxed=True, processes=PROCESSES, foreign=())
 
 

@@ -2,7 +2,7 @@
 
 Limits that a process sets itself (worker.py) do not bind root, so a grader started by root drops
 its privileges before the sandbox starts. Control groups (version 1 or 2) are used where the system
-permits their creation.
+permits their creation; elsewhere system_calls.py leaves a function no memory but its process's own.
 """
 
 import ctypes
@@ -119,6 +119,18 @@ def controllers() -> tuple[str, ...]:
     return tuple(sorted(name for _, names in _parents() for name in names))
 
 
+def resident_bytes(process: int) -> int:
+    """Memory of a process and all its descendants together, as far as they can be read [bytes]."""
+    total, waiting = 0, [process]
+    while waiting:
+        place = Path("/proc", str(waiting.pop()))
+        pages = " ".join(_lines(place / "statm")).split()
+        total += int(pages[1]) * os.sysconf("SC_PAGE_SIZE") if len(pages) > 1 else 0
+        for file in place.glob("task/*/children"):
+            waiting += map(int, " ".join(_lines(file)).split())
+    return total
+
+
 @lru_cache(maxsize=1)
 def _parents() -> tuple[tuple[Path, tuple[str, ...]], ...]:
     """Folders in which groups can be created, with the controllers available there."""
@@ -142,9 +154,9 @@ def _places(controller: str) -> Iterator[Path]:
                 (path for names, path in own.items() if controller in names.split(",")), ""
             )
             yield Path(mount)
-        elif kind == "cgroup2":
-            yield Path(mount)
-            yield Path(mount) / own.get("", "")
+        elif kind == "cgroup2":  # a user's session may own a folder above our own group
+            ours = Path(mount) / own.get("", "")
+            yield from (Path(mount), ours, *ours.parents[: len(ours.relative_to(mount).parts)])
 
 
 def _may_make(parent: Path, controller: str) -> bool:

@@ -13,11 +13,14 @@ import falconwing_kit
 from falconwing_kit.tools.grading.sandbox import limits, runtime
 from falconwing_kit.tools.grading.sandbox.host import (
     PROCESSES,
+    SPARE,
     SandboxJob,
     StudentError,
     sandbox_worker,
 )
 from falconwing_kit.tools.linux import require_linux
+
+_MEMORY_MIB = 128  # of a function's process
 
 
 @dataclass(frozen=True)
@@ -130,17 +133,61 @@ def memory(mib):
     block[::4096] = bytes(len(block[::4096]))
     return f"{mib} MiB"
 
+def children(size, limit):
+    held, reader, writer = 1, *os.pipe()
+    try:
+        for _ in range(limit // size + 2):
+            if os.fork() == 0:
+                block = bytearray(size << 20)
+                block[::4096] = bytes(len(block[::4096]))
+                os.write(writer, b"x")
+                time.sleep(60)
+                os._exit(0)
+            held += len(os.read(reader, 1))
+    except OSError:
+        pass
+    return f"{held * size} MiB" if held * size > limit else ""
+
+def memory_files(size, limit):
+    held = []
+    try:
+        while len(held) * size <= limit:
+            held.append(os.memfd_create("x"))
+            os.write(held[-1], bytes(size << 20))
+    except OSError:
+        pass
+    return f"{len(held) * size} MiB" if len(held) * size > limit else ""
+
+def segments(size, limit):
+    library, held = ctypes.CDLL(None), 0
+    library.shmat.restype = ctypes.c_void_p
+    while held * size <= limit:
+        number = library.shmget(0, ctypes.c_size_t(size << 20), 0o1600)
+        place = library.shmat(number, None, 0) if number >= 0 else None
+        if place in (None, ctypes.c_void_p(-1).value):
+            break
+        ctypes.memset(place, 1, size << 20)
+        library.shmdt(ctypes.c_void_p(place))
+        held += 1
+    return f"{held * size} MiB" if held * size > limit else ""
+
 def endless():
     while True:
         pass
 
 def daemon(token):
-    if os.fork() == 0:
-        os.setsid()
+    import threading
+    threading.Thread(target=time.sleep, args=(60,)).start()
+    ctypes.CDLL(None).prctl(15, token.encode(), 0, 0, 0)  # PR_SET_NAME: this process's name
+    try:
         if os.fork() == 0:
-            words = [sys.executable, "-S", "-c", "import time; time.sleep(60)", token]
-            os.execv(sys.executable, words)
-        os._exit(0)
+            os.setsid()
+            if os.fork() == 0:
+                words = [sys.executable, "-S", "-c", "import time; time.sleep(60)", token]
+                os.execv(sys.executable, words)
+            os._exit(0)
+    except OSError:
+        pass
     time.sleep(0.3)
     return ""
 """
@@ -233,15 +280,19 @@ def _walls(folder: Path) -> Iterator[ProbeResult]:
 def _bounds(folder: Path) -> Iterator[ProbeResult]:
     """Resource limits, one sandbox per attempt, since some attempts kill it."""
     bound = runtime.TEMPORARY
-    for name, what, argument, good in (
-        ("disk", "filling", bound, f"ends at {bound >> 20} MiB"),
-        ("processes", "forking", PROCESSES, f"ends at {PROCESSES}"),
-        ("memory", "memory", 512, "ends at the lab's limit"),
-        ("time", "endless", None, "ends at the exercise's limit"),
+    most = (_MEMORY_MIB << 20) + SPARE >> 20  # MiB of the whole sandbox
+    for name, what, arguments, good in (
+        ("disk", "filling", (bound,), f"ends at {bound >> 20} MiB"),
+        ("processes", "forking", (PROCESSES,), f"ends at {PROCESSES}"),
+        ("memory", "memory", (512,), "ends at the lab's limit"),
+        ("memory of children", "children", (_MEMORY_MIB * 3 // 4, most), f"ends at {most} MiB"),
+        ("files in memory", "memory_files", (32, most), f"end at {most} MiB"),
+        ("shared memory", "segments", (32, most), f"ends at {most} MiB"),
+        ("time", "endless", (), "ends at the exercise's limit"),
     ):
         with sandbox_worker(_job(folder)) as worker:
             try:
-                found = str(worker.call(what, *([] if argument is None else [argument])))
+                found = str(worker.call(what, *arguments))
             except StudentError as error:
                 fits = error.category in ("memory", "timeout", "died")
                 found = "" if fits else error.category
@@ -250,13 +301,13 @@ def _bounds(folder: Path) -> Iterator[ProbeResult]:
     yield ProbeResult(
         "control groups",
         True,
-        f"limit {groups}" if groups else "not available; limits hold per process only",
+        f"limit {groups}" if groups else "not available; one process is allowed, with its limits",
     )
 
 
 def _leftover(folder: Path) -> ProbeResult:
     """Whether a daemonised process outlives its sandbox."""
-    token = secrets.token_hex(16)
+    token = secrets.token_hex(7)  # the kernel keeps 15 letters of a name
     with sandbox_worker(_job(folder)) as worker:
         worker.call("daemon", token)
         started = _running(token)
@@ -272,13 +323,13 @@ def _leftover(folder: Path) -> ProbeResult:
 
 
 def _job(folder: Path) -> SandboxJob:
-    return SandboxJob(_PAYLOAD, "tried", folder, seconds=1.0, memory_mib=128)
+    return SandboxJob(_PAYLOAD, "tried", folder, seconds=1.0, memory_mib=_MEMORY_MIB)
 
 
 def _running(token: str) -> list[str]:
-    """Processes of this machine with a token in their command line."""
+    """Processes of this machine with a token as their name or in their command line."""
     found = []
-    for file in Path("/proc").glob("[0-9]*/cmdline"):
+    for file in (*Path("/proc").glob("[0-9]*/cmdline"), *Path("/proc").glob("[0-9]*/comm")):
         try:
             if token.encode() in file.read_bytes():
                 found.append(file.parent.name)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.sandbox.limits import STAGE
+from falconwing_kit.tools.grading.sandbox.system_calls import seccomp_filter
 
 SANDBOX, PACKAGES, WORK = (  # inside the sandbox
     Path("/sandbox"),
@@ -68,17 +69,24 @@ class SandboxCommand:
     """How to start a sandbox.
 
     Attributes:
-        words: bubblewrap's command line.
+        words: bubblewrap's command line, without the options: a function can read it.
+        descriptors: open files with the options and the filter, to be passed and then closed.
         staged: files that a grader run by root mounts for the sandbox's user, see
             `limits.make_preexec`: path, path under STAGE.
     """
 
     words: tuple[str, ...]
+    descriptors: tuple[int, ...]
     staged: tuple[tuple[Path, Path], ...]
 
 
 def sandbox_command(
-    packages: tuple[str, ...], own: Mapping[Path, Path], files: Mapping[int, Path], script: str
+    packages: tuple[str, ...],
+    own: Mapping[Path, Path],
+    files: Mapping[int, Path],
+    script: str,
+    *,
+    processes: bool = False,
 ) -> SandboxCommand:
     """bubblewrap's command line for a sandbox that runs a script.
 
@@ -87,6 +95,7 @@ def sandbox_command(
         own: further read-only mounts: path outside, path inside; missing ones are skipped.
         files: open files to copy in: descriptor, path inside.
         script: name of a file in SANDBOX.
+        processes: the script may start processes.
 
     Raises:
         InputError: there is no bubblewrap, or a library is not installed.
@@ -98,7 +107,7 @@ def sandbox_command(
             "apt install bubblewrap"
         )
     python = find_runtime(packages)
-    words = [program, *_WALLS]
+    words = [*_WALLS]
     staged: list[tuple[Path, Path]] = []
     for source, target in (
         *python.mounts,
@@ -131,16 +140,21 @@ def sandbox_command(
     ]
     for name, value in ENVIRONMENT.items():
         words += ["--setenv", name, value]
-    words += [
-        "--",
-        str(python.python),
-        *PYTHON,
-        "-S",
-        str(SANDBOX / script),
-        str(PACKAGES),
-        str(WORK),
-    ]
-    return SandboxCommand(tuple(words), tuple(staged))
+    denied = seccomp_filter(processes=processes)
+    descriptors = [_open_file(denied)] if denied else []
+    words += ["--seccomp", str(descriptors[0])] if denied else []
+    descriptors.append(_open_file("".join(f"{word}\0" for word in words).encode()))
+    run = [str(python.python), *PYTHON, "-S", str(SANDBOX / script), str(PACKAGES), str(WORK)]
+    return SandboxCommand(
+        (program, "--args", str(descriptors[-1]), "--", *run), tuple(descriptors), tuple(staged)
+    )
+
+
+def _open_file(content: bytes) -> int:
+    """Descriptor of a file in memory, at its beginning."""
+    descriptor = os.memfd_create("sandbox")
+    os.pwrite(descriptor, content, 0)
+    return descriptor
 
 
 _WALLS = (
