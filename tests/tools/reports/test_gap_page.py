@@ -40,7 +40,8 @@ def page(tmp_path_factory):
         strained=WORDS, since=None, sizes=[(WORDS, LONG, "−0.0123/m^2", "−0.0134 to −0.0112")],
         gap=[("calm flight", "1.04", "4.4 cm", "0.57°")], before_after=WORDS, contest=WORDS,
         second_effect="", runner_up=WORDS, where=WORDS, next_flight=WORDS,
-        additions=[(LONG, WORDS, "0.0123 rad/s^2")], noise=WORDS, detectable=[(LONG, WORDS, "0.0123 rad/s^2", "0.0101 rad/s^2")],
+        additions=[(LONG, WORDS, "0.0123 rad/s^2")], noise=WORDS,
+        detectable=[(LONG, WORDS, "0.0123 rad/s^2", "0.0101 rad/s^2")],
     )  # fmt: skip
     return folder / "report.html"
 
