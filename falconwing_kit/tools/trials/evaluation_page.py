@@ -251,7 +251,7 @@ def draw_sweeps(found: Mapping[Cell, Record], path: Path) -> None:
                 _draw_curve(rates, of_pilot, lambda s: s["success"], "rate", colour, pilot)
                 _draw_curve(errors, of_pilot, lambda s: s[key], "mean", colour, pilot)
                 _draw_dot(rates, (group, task, pilot), colour)
-            rates.set(ylim=(-3.0, 103.0), ylabel="success [%]")
+            rates.set(ylim=(-3.0, 108.0), ylabel="success [%]")
             errors.set(xlabel=AXES[group], ylabel=label)
             errors.set_ylim(bottom=0.0)
             for ax in (rates, errors):
