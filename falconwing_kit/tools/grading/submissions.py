@@ -195,6 +195,19 @@ def find_hand_ins(path: str | Path, lab: str) -> list[Submission]:
     return [_stamped(_chosen(found[name], lab)) for name in sorted(found)]
 
 
+def find_one(folder: Path, lab: str, student: str) -> Submission:
+    """The notebook in one student's folder, whatever the files in it are called.
+
+    Raises:
+        InputError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected a student's folder, found none")
+    files = [each for each in _in_students_folder(folder) if not {*each.path.parts} & _SKIPPED]
+    mine = [replace(_kind(each), student=student, entry=student) for each in files]
+    return _stamped(_chosen(mine, lab))
+
+
 def student_of(path: PurePosixPath) -> str:
     """Student of a file, from the first name of its path below the folder or in the zip."""
     return _owned(_File(path, Submission("", Path())))[0].student
