@@ -206,5 +206,8 @@ def test_gradebook_without_reports_is_refused(tmp_path):
     """A folder of another kind, and none."""
     with pytest.raises(InputError, match=r"found no totals\.json"):
         Gradebook(tmp_path / "out", (tmp_path,)).run()
+    (tmp_path / "totals.json").write_text('{"lab": "lab01", "students": {"ada": 5}}')
+    with pytest.raises(InputError, match=r"found no totals\.json"):
+        Gradebook(tmp_path / "out", (tmp_path,)).run()
     with pytest.raises(InputError, match="expected one of each lab, got none"):
         Gradebook(tmp_path / "out", ()).run()
