@@ -87,7 +87,7 @@ def read_totals(report: Path) -> tuple[str, dict[str, dict[str, Any]]]:
         content = json.loads(read_text(file))
         students = dict(content["students"])
         for each in students.values():
-            if not _TOTALS <= set(each) or not float(each["of"]) > 0.0:
+            if not set(each) >= _TOTALS or not float(each["of"]) > 0.0:
                 raise ValueError
         return str(content["lab"]), students
     except (FileNotFoundError, ValueError, KeyError, TypeError):
