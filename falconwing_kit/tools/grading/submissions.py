@@ -66,7 +66,8 @@ class Submission:
         problem: why it cannot be read, or a note; else empty.
         entry: the first name below the folder or in the zip, which says whose it is.
         disputed: several entries have this student's name, and a person must decide.
-        platform: "moodle", "canvas", "gradescope", or empty.
+        platform: "moodle", "canvas", "gradescope"; "folder" for a student's folder or zip by the
+            teacher; empty for a single file.
         name_given: of the student, by the platform, without a number.
         number, email: of the student, by the platform, such as "canvas:123"; may be empty.
         late: whether the platform says so.
@@ -243,7 +244,9 @@ def _owned(file: _File) -> list[Submission]:
     plain = plain if file.second else re.sub(r"^lab\d+[-_ ]+|[-_ ]+lab\d+$", "", plain)
     if found.problem == _LEADS_OUT and not file.inner.parts:  # the platform makes no such names
         plain = str(file.path)
-    return [replace(found, student=_printable(plain).strip() or "unnamed", entry=name)]
+    kind = "folder" if file.second or file.inner.parts else ""
+    student = _printable(plain).strip() or "unnamed"
+    return [replace(found, student=student, entry=name, platform=kind)]
 
 
 def _of_group(file: _File, groups: Mapping[str, list[dict[str, Any]]]) -> list[Submission]:
