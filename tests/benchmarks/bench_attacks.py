@@ -2,7 +2,7 @@
 
     python -m pytest -m benchmark -s tests/benchmarks/bench_attacks.py --timeout 1200
 
-CI runs the code attacks as its own user, quick ones as a plain user, and five of the notebooks.
+CI runs the code attacks as its own user, quick ones as a plain user, and three of the notebooks.
 """
 
 import os

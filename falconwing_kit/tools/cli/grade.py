@@ -88,10 +88,8 @@ class Grade:
         folder = lab_folder(self.lab, self.labs).resolve()
         lab = load_checks(folder)
         key = course_key(self.salt, self.course)
-        roster, deadline = (
-            course_roster(self.course),
-            read_rules(self.course).lab(lab.name).deadline,
-        )
+        roster = course_roster(self.course)
+        deadline = read_rules(self.course).lab(lab.name).deadline
         handed_in = collect_hand_ins(self.submissions, lab.name, roster)
         facts = {
             each.student: hand_in_facts(each, roster, deadline) for each in handed_in.submissions
@@ -143,7 +141,8 @@ class Grade:
         todo, before = [], {each.student: known.get(each.student, {}) for each in found}
         for each in found:
             same = (
-                before[each.student].get("sha256") == each.sha256
+                each.sha256 != ""
+                and before[each.student].get("sha256") == each.sha256
                 and before[each.student].get("status") != "error"
             )
             moved = same and any(
@@ -187,10 +186,6 @@ class Grade:
         states = [record_state(record) for record in records if record.get("known", True)]
         strangers = [record for record in records if not record.get("known", True)]
         by_state = {state: states.count(state) for state in STATES}
-        size = counts["roster"]
-        if size is not None and len(states) != size:
-            gone = f"{len(states)} records for a roster of {size}"
-            print(f"! {gone}: the roster has changed; grade into a new --out")
         marked = [record for record in records if record["status"] == "graded"]
         rows = []
         for exercise in lab.exercises:
@@ -227,6 +222,10 @@ class Grade:
             f"{len(states)} students = {total or 0}"
             + (f"; {len(strangers)} not on the roster" if strangers else "")
         )
+        size = counts["roster"]
+        if size is not None and len(states) != size:
+            gone = f"{len(states)} students for a roster of {size}"
+            print(f"! {gone}: the roster has changed; grade into a new --out")
         for name in counts["passed_over"]:
             print(f"! {name}: not a notebook, and nobody's; passed over")
         if self.regrade:

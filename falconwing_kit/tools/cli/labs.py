@@ -184,6 +184,45 @@ def _percent(points: Mapping[str, float], of: Mapping[str, float]) -> str:
 
 
 @dataclass(frozen=True)
+class Autograder:
+    """Write the zip with which Gradescope grades a lab's functions by itself."""
+
+    out: Annotated[Path, tyro.conf.Positional]
+    """the zip"""
+    lab: Annotated[str, tyro.conf.Positional]
+    """such as lab03"""
+    salt: str = ""
+    """the course's secret, if you type one"""
+    course: Path | None = None
+    """the course's folder, with salt.txt and roster.csv"""
+    unsafe_no_sandbox: bool = False
+    """grade where Gradescope's container allows no sandbox; points can then be forged"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+
+    def run(self) -> int:
+        """Write the zip.
+
+        Returns:
+            0: it is written.
+
+        Raises:
+            InputError: there is no such lab, or the secret cannot be used.
+        """
+        from falconwing_kit.tools.grading.course.autograder import write_autograder
+        from falconwing_kit.tools.grading.find import lab_folder
+        from falconwing_kit.tools.grading.salt import course_key
+
+        folder = lab_folder(self.lab, self.labs).resolve()
+        key = course_key(self.salt, self.course)
+        write_autograder(self.out, folder, key, self.course, sandboxed=not self.unsafe_no_sandbox)
+        print(f"{self.out}: {self.out.stat().st_size >> 20} MiB; it holds the hidden cases and the")
+        print("course's key, so give it to Gradescope only")
+        next_line("upload it as the assignment's autograder, Ubuntu 24.04 or newer")
+        return 0
+
+
+@dataclass(frozen=True)
 class Gradebook:
     """Write the course's gradebook from the labs' reports: late days, dropped labs, weights.
 
@@ -249,7 +288,7 @@ class Gradebook:
 class Labs:
     """Build the labs' notebooks, release them to students, test them, or sum up a course."""
 
-    step: tyro.conf.OmitSubcommandPrefixes[Build | Release | Selftest | Gradebook]
+    step: tyro.conf.OmitSubcommandPrefixes[Build | Release | Selftest | Autograder | Gradebook]
 
     def run(self) -> int:
         """Run the chosen step."""

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import atomic_write, write_error
+from falconwing_kit.core.files import atomic_write, read_text, write_error
 
 Record = dict[str, Any]
 _CELL_END = re.compile(r"(?<=[;\t\r\n])")
@@ -160,6 +160,33 @@ def write_points_table(out: Path, exercises: Sequence[str], records: Iterable[Re
     with atomic_write(out / GRADEBOOK, text=True) as handle:
         handle.write(table.getvalue())
     return out / GRADEBOOK
+
+
+def read_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    """Columns and rows of a CSV file with commas, semicolons or tabulators.
+
+    Returns:
+        The columns as they are, and for each row its cells without surrounding blanks; missing
+        cells are empty.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        InputError: it is no text in UTF-8, or no table.
+    """
+    text = read_text(path)
+    head = text.lstrip().split("\n")[0]
+    delimiter = max(",;\t", key=head.count)
+    try:
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
+        lines = [line for line in reader if line]
+    except csv.Error as error:
+        raise InputError(f"{path}: expected a table in CSV, got {error}; save it again") from None
+    columns = lines[0] if lines else []
+    rows = []
+    for line in lines[1:]:
+        cells = [cell.strip() for cell in line] + [""] * len(columns)
+        rows.append(dict(zip(columns, cells, strict=False)))
+    return columns, rows
 
 
 def safe_file_name(student: str) -> str:

@@ -7,8 +7,6 @@ capitals; a student, a name or an email address is enough:
     email (Email address), canvas (ID), group (Groups, Section), extension_days
 """
 
-import csv
-import io
 import re
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import read_text
+from falconwing_kit.tools.grading.records import read_table
 from falconwing_kit.tools.grading.rules import days_late
 from falconwing_kit.tools.grading.submissions import Submission, find_hand_ins
 
@@ -63,10 +61,8 @@ def read_roster(path: Path) -> list[Student]:
         FileNotFoundError: there is no such file.
         InputError: it is no text in UTF-8, has no column that says who, or a student twice.
     """
-    text = read_text(path)
-    head = text.lstrip().split("\n")[0]
-    rows = csv.DictReader(io.StringIO(text, newline=""), delimiter=max(",;\t", key=head.count))
-    columns = [name.strip().casefold() for name in rows.fieldnames or ()]
+    head, rows = read_table(path)
+    columns = [name.strip().casefold() for name in head]
     names = {"name", "full name", "first name", *_EMAILS}
     if not {*_IDS, *names} & set(columns):
         raise InputError(
@@ -75,8 +71,7 @@ def read_roster(path: Path) -> list[Student]:
         )
     students = []
     for row in rows:
-        cells = dict(zip(columns, ((cell or "").strip() for cell in row.values()), strict=False))
-        student = _student(path, cells)
+        student = _student(path, {name.strip().casefold(): text for name, text in row.items()})
         if student is not None:
             students.append(student)
     ids = [each.id for each in students]
@@ -258,12 +253,8 @@ def _only(several: list[Submission]) -> Submission:
 def _with_worksheet(found: Iterable[Submission], path: Path) -> list[Submission]:
     """Moodle's hand-ins with what its grading worksheet says of each."""
     rows = {}
-    for row in csv.DictReader(io.StringIO(read_text(path), newline="")):
-        cells = {
-            (name or "").casefold(): (text or "").strip()
-            for name, text in row.items()
-            if isinstance(text, str)
-        }
+    for row in read_table(path)[1]:
+        cells = {name.strip().casefold(): text for name, text in row.items()}
         number = re.search(r"\d+$", cells.get("identifier", ""))
         if number:
             rows[number[0]] = cells

@@ -32,10 +32,12 @@ from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.collect import MAX_FILE
 
 MAX_ENTRIES = 20_000  # of a zip or a student's folder
+MAX_ZIPS, MAX_TRIED = 5, 5  # of a student: zips in a folder or zip; files tried for a notebook
 # beginnings of a first name; what follows them is the student's file name
 _CANVAS = re.compile(r"([^_]+)_(LATE_)?(\d+)_(?:question_\d+_)?\d+_")
 _MOODLE = re.compile(r"(.+?)_assignsubmission_")
 _GRADESCOPE, _LIST = re.compile(r"assignment_\d+_export"), "submission_metadata.yml"
+_ITS_FOLDER = re.compile(r"submission_\d+")
 _VERSION = re.compile(r"(?:-|_|\()(\d{1,4})\)?$")  # lab03-2, lab03 (2)
 _LEADS_OUT, _LINK = "a name that leads out of the zip", "a link, which is not followed"
 _SKIPPED = {"__MACOSX", ".ipynb_checkpoints", ".git", ".DS_Store", "Thumbs.db", "desktop.ini"}
@@ -64,7 +66,8 @@ class Submission:
         problem: why it cannot be read, or a note; else empty.
         entry: the first name below the folder or in the zip, which says whose it is.
         disputed: several entries have this student's name, and a person must decide.
-        platform: "moodle", "canvas", "gradescope", or empty.
+        platform: "moodle", "canvas", "gradescope"; "folder" for a student's folder or zip by the
+            teacher; empty for a single file.
         name_given: of the student, by the platform, without a number.
         number, email: of the student, by the platform, such as "canvas:123"; may be empty.
         late: whether the platform says so.
@@ -183,9 +186,13 @@ def find_hand_ins(path: str | Path, lab: str) -> list[Submission]:
         )
     files = [each for each in files if not {*each.outer.parts, *each.inner.parts} & _SKIPPED]
     if {bool(_GRADESCOPE.fullmatch(each.first)) and each.second != "" for each in files} == {True}:
+        if place.is_dir():
+            raise InputError(f"{place}: expected an export, got one in a folder; give that folder")
         files = [replace(f, outer=PurePosixPath(*f.outer.parts[1:])) for f in files]
     lists = [each for each in files if each.outer == PurePosixPath(_LIST)]
-    groups = _read_list(lists[0].found.read()) if lists else None
+    names = {each.first for each in files} - {_LIST}
+    listed = lists and all(map(_ITS_FOLDER.fullmatch, names))
+    groups = _read_list(lists[0].found.read()) if listed else None
     if groups is None:
         _refuse_outer_folder(place, files)
     found: dict[str, list[Submission]] = {}
@@ -193,6 +200,19 @@ def find_hand_ins(path: str | Path, lab: str) -> list[Submission]:
         for each in _owned(file) if groups is None else _of_group(file, groups):
             found.setdefault(each.student, []).append(each)
     return [_stamped(_chosen(found[name], lab)) for name in sorted(found)]
+
+
+def find_one(folder: Path, lab: str, student: str) -> Submission:
+    """The notebook in one student's folder, whatever the files in it are called.
+
+    Raises:
+        InputError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected a student's folder, found none")
+    files = [each for each in _in_students_folder(folder) if not {*each.path.parts} & _SKIPPED]
+    mine = [replace(_kind(each), student=student, entry=student) for each in files]
+    return _stamped(_chosen(mine, lab))
 
 
 def student_of(path: PurePosixPath) -> str:
@@ -224,7 +244,9 @@ def _owned(file: _File) -> list[Submission]:
     plain = plain if file.second else re.sub(r"^lab\d+[-_ ]+|[-_ ]+lab\d+$", "", plain)
     if found.problem == _LEADS_OUT and not file.inner.parts:  # the platform makes no such names
         plain = str(file.path)
-    return [replace(found, student=_printable(plain).strip() or "unnamed", entry=name)]
+    kind = "folder" if file.second or file.inner.parts else ""
+    student = _printable(plain).strip() or "unnamed"
+    return [replace(found, student=student, entry=name, platform=kind)]
 
 
 def _of_group(file: _File, groups: Mapping[str, list[dict[str, Any]]]) -> list[Submission]:
@@ -273,11 +295,21 @@ def _kind(file: _File) -> Submission:
     found, name = file.found, _printable(file.path.name)
     if found.problem or file.path.suffix.lower() == ".ipynb":
         return found
-    likely = file.path.suffix.lower() in ("", ".json", ".txt") or ".ipynb" in name.lower()
-    with suppress(InputError):
-        if likely and found.read()[:64].lstrip(b"\xef\xbb\xbf \r\n\t")[:1] == b"{":
-            return replace(found, problem=f"not called .ipynb: {name}")
-    return replace(found, when=None, other=True, problem=f"not a notebook: {name}")
+    return replace(found, other=True, problem=f"not a notebook: {name}")
+
+
+def _renamed(several: list[Submission]) -> list[Submission]:
+    """The first of a student's other files that begins like a notebook."""
+    tried = 0
+    for each in several:
+        name = PurePosixPath(each.name)
+        likely = name.suffix.lower() in ("", ".json", ".txt") or ".ipynb" in each.name.lower()
+        if each.other and likely and each.when is not None and tried < MAX_TRIED:
+            tried += 1
+            with suppress(InputError):
+                if each.read()[:64].lstrip(b"\xef\xbb\xbf \r\n\t")[:1] == b"{":
+                    return [replace(each, other=False, problem=f"not called .ipynb: {each.name}")]
+    return []
 
 
 def _is_platform_name(name: str) -> bool:
@@ -317,14 +349,14 @@ def _in_folder(folder: Path) -> Iterator[_File]:
 def _in_students_folder(top: Path) -> list[_File]:
     """Files of one student's folder; only the problem if they are too many, or none."""
     files: list[_File] = []
-    count = 0
+    count = zips = 0
     inside = PurePosixPath(top.name, ".")
     for here, folders, names in os.walk(top):
         folders[:] = sorted(name for name in folders if name not in _SKIPPED)
         for name in sorted(names):
-            count += 1
-            if count > MAX_ENTRIES:
-                much = f"more than {MAX_ENTRIES} files"
+            count, zips = count + 1, zips + name.lower().endswith(".zip")
+            if count > MAX_ENTRIES or zips > MAX_ZIPS:
+                much = f"more than {MAX_ENTRIES} files or {MAX_ZIPS} zips"
                 return [_File(PurePosixPath(top.name, "x"), Submission("", top, problem=much))]
             file = Path(here, name)
             files += _on_disk(file, PurePosixPath(file.relative_to(top.parent).as_posix()))
@@ -361,7 +393,7 @@ def _in_students_zip(open_it: Callable[[], BinaryIO], mine: _File) -> Iterator[_
     """Files in a student's zip, all of them the student's."""
     try:
         with open_it() as handle:
-            files = list(_in_zip(handle, mine.found))
+            files = list(_in_zip(handle, mine.found, own=True))
     except (InputError, *_UNREADABLE) as error:
         why = f"not a zip that can be read: {type(error).__name__}"
         files = [_File(mine.outer, replace(mine.found, when=None, problem=why))]
@@ -371,13 +403,15 @@ def _in_students_zip(open_it: Callable[[], BinaryIO], mine: _File) -> Iterator[_
         yield _File(mine.outer, each.found, inner)
 
 
-def _in_zip(handle: BinaryIO, outer: Submission) -> Iterator[_File]:
+def _in_zip(handle: BinaryIO, outer: Submission, *, own: bool = False) -> Iterator[_File]:
     """Files in a zip and in the students' zips in it; unsafe names are reported.
 
     Args:
         handle: the zip.
         outer: its location.
+        own: it is a student's.
     """
+    zips = 0
     with zipfile.ZipFile(handle) as archive:
         if len(archive.infolist()) > MAX_ENTRIES:
             raise ValueError(f"more than {MAX_ENTRIES} files")
@@ -407,6 +441,9 @@ def _in_zip(handle: BinaryIO, outer: Submission) -> Iterator[_File]:
                 yield _File(path, replace(found, when=None, problem="a zip in a zip in a zip"))
             else:
                 inner = partial(_open_member, archive, entry)
+                zips += 1
+                if own and zips > MAX_ZIPS:
+                    raise ValueError(f"more than {MAX_ZIPS} zips")
                 yield from _in_students_zip(inner, _File(path, found))
 
 
@@ -454,7 +491,9 @@ def _chosen(several: list[Submission], lab: str) -> Submission:
     Of two names that are not one student's for certain (`ada.ipynb` and `lab03_ada.ipynb`, or two
     that differ in letters that cannot be seen) none is taken: one of them may be somebody else's.
     """
-    notebooks = [each for each in several if not each.other] or several
+    notebooks = [each for each in several if not each.other] or _renamed(several)
+    if not notebooks:
+        notebooks = [replace(each, when=None) for each in several]
     entries = sorted({_printable(each.entry) for each in notebooks})
     if len({each.entry for each in notebooks}) > 1:
         return replace(

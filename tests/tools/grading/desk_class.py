@@ -4,7 +4,6 @@ Every student hands in one of KINDS, on one of three platforms, under a name as 
 """
 
 import csv
-import itertools
 import json
 import shutil
 
@@ -77,13 +76,12 @@ def write_class(folder, size):
     course = folder / "course"
     course.mkdir()
     (course / "course.toml").write_text(RULES)
-    kinds = itertools.cycle(KINDS)
     roster, expected, sheet = [], {}, [["Identifier", "Full name", "Email address", "Status"]]
     exports = {name: [] for name in PLATFORMS}
     listed = {}
     for number in range(size):
         platform = PLATFORMS[number % 3]
-        kind = next(kinds) if number % 3 == 0 else kind  # noqa: F821 - each kind on each platform
+        kind = list(KINDS)[number // 3 % len(KINDS)]  # each kind on each platform
         twin = number % 3 == 0 and size > 60 and number in (30, 33)
         first, last = FIRST[number % len(FIRST)], LAST[number // len(FIRST) % len(LAST)]
         name = "Kim Lee" if twin else f"{first} {last}" + ("" if number < 80 else f" {number}")
@@ -120,7 +118,7 @@ def write_class(folder, size):
 
 def canvas_name(first, last):
     """Canvas's joined name: "Lovelace, Ada" -> "lovelaceada"."""
-    return "".join(letter for letter in (last + first).lower() if letter.isalnum()) or "x"
+    return "".join(letter for letter in (last + first).lower() if letter.isalnum())
 
 
 def _write(path, rows):

@@ -152,20 +152,22 @@ def test_platforms_get_back_what_they_gave(desk):
 
 @toys.needs_sandbox
 def test_a_later_export_adds_and_loses_nobody(desk, monkeypatch):
-    """A student without a hand-in sends it later: one export more, --resume; the others stay."""
+    """Two without a hand-in send one later, a notebook and a print: --resume; the others stay."""
     folder, _, expected = desk
     monkeypatch.setattr(grading, "_require_sandbox", lambda: None)
     missing = [who for who, state in expected.items() if state == "missing"]
     late = folder / "late"
     late.mkdir()
     (late / f"{missing[0]}.ipynb").write_bytes(desk_class.NOTEBOOK)
+    (late / f"{missing[1]}.pdf").write_bytes(b"%PDF-1.7")
     (late / "readme.txt").write_text("from the mail")
     with chdir(folder), redirect_stdout(StringIO()) as said:
         assert main(f"grade lab01 late --out grades {COURSE} --resume".split()) == 0
     shown = json.loads(said.getvalue())
     counts = Counter(expected.values())
-    assert shown["missing"] == counts["missing"] - 1
+    assert shown["missing"] == counts["missing"] - 2
     assert shown["graded"] == counts["graded"] + 1
+    assert shown["unreadable"] == counts["unreadable"] + 1
     assert sum(shown[state] for state in STATES) == len(expected)
     assert shown["passed_over"] == ["readme.txt"]
 
@@ -202,6 +204,9 @@ def test_no_result_before_every_lab_is_final():
 
 def test_gradebook_without_reports_is_refused(tmp_path):
     """A folder of another kind, and none."""
+    with pytest.raises(InputError, match=r"found no totals\.json"):
+        Gradebook(tmp_path / "out", (tmp_path,)).run()
+    (tmp_path / "totals.json").write_text('{"lab": "lab01", "students": {"ada": 5}}')
     with pytest.raises(InputError, match=r"found no totals\.json"):
         Gradebook(tmp_path / "out", (tmp_path,)).run()
     with pytest.raises(InputError, match="expected one of each lab, got none"):

@@ -64,6 +64,8 @@ def test_platforms_lists_are_read_as_they_are(tmp_path, text, student):
         ("student\nann\nann\n", "expected every student once, got ann"),
         ("student\na\x07nn\n", "printable letters"),
         ("student,extension_days\nann,soon\n", "expected whole extension days, got 'soon'"),
+        ("student\n" + "x" * 200_000, "expected a table in CSV"),
+        ('student\n"ann\n' + "bob\n" * 50_000, "expected a table in CSV"),
     ],
 )
 def test_bad_roster_is_refused(tmp_path, text, sentence):

@@ -22,6 +22,7 @@ from falconwing_kit.tools.grading.roster import Student
 from falconwing_kit.tools.grading.rules import CourseRules
 
 TOTALS = "totals.json"  # in a report's folder
+_TOTALS = {"state", "total", "of", "late", "late_days"}
 LATE_UNKNOWN = 1  # days counted where a platform says "late" only
 
 
@@ -84,7 +85,11 @@ def read_totals(report: Path) -> tuple[str, dict[str, dict[str, Any]]]:
     file = report / TOTALS
     try:
         content = json.loads(read_text(file))
-        return str(content["lab"]), dict(content["students"])
+        students = dict(content["students"])
+        for each in students.values():
+            if not set(each) >= _TOTALS or not float(each["of"]) > 0.0:
+                raise ValueError
+        return str(content["lab"]), students
     except (FileNotFoundError, ValueError, KeyError, TypeError):
         raise InputError(
             f"{report}: expected the folder that `falconwing report --out` wrote, found no {TOTALS}"

@@ -14,9 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.files import atomic_write, read_text
+from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.grading.lab import Lab, total_points
-from falconwing_kit.tools.grading.records import safe_file_name, spreadsheet_cell
+from falconwing_kit.tools.grading.records import (
+    read_table,
+    safe_file_name,
+    spreadsheet_cell,
+)
 
 COMMENT = "comment"  # column of the rubric file for the student
 
@@ -98,8 +102,7 @@ def read_rubric(path: Path, lab: Lab, students: Iterable[str]) -> dict[str, Manu
         FileNotFoundError: there is no such file.
         InputError: a column, a student or a number is invalid.
     """
-    reader = csv.DictReader(io.StringIO(read_text(path), newline=""))
-    columns, rows = list(reader.fieldnames or ()), list(reader)
+    columns, rows = read_table(path)
     known = {str(spreadsheet_cell(name)): name for name in students}
     known |= {name: name for name in known.values()}
     names = [each.name for each in lab.rubric]
@@ -111,20 +114,20 @@ def read_rubric(path: Path, lab: Lab, students: Iterable[str]) -> dict[str, Manu
         )
     found: dict[str, ManualGrade] = {}
     for row in rows:
-        student = known.get((row["student"] or "").strip())
+        student = known.get(row["student"])
         if student is None or student in found:
             why = "twice" if student else "without a record"
             raise InputError(
                 f"{path}: expected every student of the records once, got {row['student']!r} {why}"
             )
-        cells = {each: (row.get(each.name) or "").strip() for each in lab.rubric}
+        cells = {each: row.get(each.name, "") for each in lab.rubric}
         where = f"{path}: {student}"
         points = {
             each.name: _points(where, each.name, text, each.points)
             for each, text in cells.items()
             if text
         }
-        comment = (row.get(COMMENT) or "").strip()
+        comment = row.get(COMMENT, "")
         found[student] = ManualGrade(
             points, comment[1:] if spreadsheet_cell(comment[1:]) == comment else comment
         )
