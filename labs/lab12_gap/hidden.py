@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from given import CANDIDATES, LEAST_GAIN, LOADS
 
-from falconwing_kit.aircraft import CATALOGUE, air_flow
+from falconwing_kit.aircraft import CATALOGUE, air_flow, rates_model
 from falconwing_kit.core import FlightTable, InputError, write_flight_table
 from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values
 from falconwing_kit.tools.trials import HiddenCase, hidden_case, hidden_seed
@@ -248,7 +248,8 @@ def _loads(
         "kTV": 0.0,
         **K,
     }
-    term = next(entry.term() for entry in CATALOGUE if entry.name == effect)
+    thrust = tuple(term for term in rates_model().terms if term.name == "thrust")
+    term = next(entry.term(thrust) for entry in CATALOGUE if entry.name == effect)
     added = term.evaluate(air, SimpleNamespace(**numbers, **dict.fromkeys(_IN_KIT[effect], size)))
     return loads + np.stack([part + nothing for part in added])
 

@@ -19,7 +19,9 @@ HEADER = ",".join(REQUIRED_COLUMNS)
 @pytest.fixture
 def free_body(monkeypatch):
     """A monitor of a falling body in place of the identified one, whose tests are elsewhere."""
-    base = SimpleNamespace(result=SimpleNamespace(model=FREE_BODY), prior=None)
+    base = SimpleNamespace(
+        result=SimpleNamespace(model=FREE_BODY), prior=None, parameter_prior=None
+    )
     monitor = Monitor(base, noise(), 20.0, 20.0, 3600.0)  # type: ignore[arg-type]
     monkeypatch.setattr(verb, "read_flight_table", lambda path: None)
     monkeypatch.setattr(verb, "identify", lambda tables, model: None)
