@@ -14,6 +14,7 @@ from falconwing_kit.trainer_port.ppm import Calibration
 from falconwing_kit.trainer_port.usb import SerialLink
 
 PORTS = ("sim", "sim-python")  # names of simulated boards: the firmware, and plain Python
+CLOCK_ROUNDING = 1e-6  # [s]; a cycle of the chip is 62.5 ns
 STEP = 0.002  # s of virtual time between two reads from the board
 
 
@@ -156,7 +157,7 @@ class SteppedBoard:
 
     def _run(self) -> None:
         end = self._now() - self._zero
-        while self.board.t < end:
+        while end - self.board.t > CLOCK_ROUNDING:  # a chip stops at whole cycles
             self.board.run_until(min(self.board.t + STEP, end))
             if data := self.board.read():
                 self._chunks.append((self._zero + self.board.t, data))

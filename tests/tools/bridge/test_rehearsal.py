@@ -76,3 +76,17 @@ def test_images_come_twenty_times_a_second_and_show_the_approach(recorded):
     assert log.metadata["simulated"] == "yes" and log.metadata["scene"] == "arena"
     assert log.metadata["task"] == "landing" and "SIMULATED" in log.metadata["pilot"]
     assert len({image.jpeg for image in log.images()}) > 0.9 * len(given)
+
+
+def test_a_board_that_stops_at_whole_cycles_is_not_waited_for():
+    """Its time ends half a cycle of 16 MHz before the moment asked for, and never reaches it."""
+
+    class WholeCycles(PythonBoard):
+        def run_until(self, t):
+            super().run_until(max(np.floor(t * 16e6 - 0.5) / 16e6, self.t))
+
+    clock = SimpleNamespace(t=0.0)
+    link = SteppedBoard(WholeCycles(), lambda: clock.t)
+    clock.t = 0.1
+    link.read()
+    assert link.board.t == pytest.approx(0.1, abs=1e-6)
