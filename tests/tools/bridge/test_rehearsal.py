@@ -85,7 +85,7 @@ def test_a_board_that_stops_at_whole_cycles_is_not_waited_for():
         def run_until(self, t):
             super().run_until(max(np.floor(t * 16e6 - 0.5) / 16e6, self.t))
 
-    clock = SimpleNamespace(t=0.0)
+    clock = types.SimpleNamespace(t=0.0)
     link = SteppedBoard(WholeCycles(), lambda: clock.t)
     clock.t = 0.1
     link.read()
