@@ -76,8 +76,10 @@ def test_building_takes_seconds():
 
 
 def test_length_is_that_of_the_paper():
-    """The paper says 15 pages; 12 to 18 are wanted. Counted in the PDF itself."""
-    assert 12 <= len(re.findall(r"/Type\s*/Page\b(?!s)", pdf_objects())) <= 18
+    """The paper says 15 pages; with the bench and the flight of a real aircraft, which it has not, 12
+    to 20 are wanted. Counted in the PDF itself.
+    """
+    assert 12 <= len(re.findall(r"/Type\s*/Page\b(?!s)", pdf_objects())) <= 20
 
 
 def test_steps_are_the_same_in_both_forms():
@@ -228,7 +230,7 @@ def test_honest_status_is_said_before_anything_is_bought():
     first = page().text[: page().text.index("2 Safety", 1500)]
     assert (
         "No aircraft has been built with this manual" in first
-        and "has no vision-based pilot" in first
+        and "pilot has flown an aircraft by camera" in first
     )
 
 
