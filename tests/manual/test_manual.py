@@ -76,8 +76,8 @@ def test_building_takes_seconds():
 
 
 def test_length_is_that_of_the_paper():
-    """The paper says 15 pages; with the bench and the flight of a real aircraft, which it has not, 12
-    to 20 are wanted. Counted in the PDF itself.
+    """The paper says 15 pages; with a bench and a real aircraft's flight, which it has not, 12 to 20
+    are wanted. Counted in the PDF itself.
     """
     assert 12 <= len(re.findall(r"/Type\s*/Page\b(?!s)", pdf_objects())) <= 20
 
