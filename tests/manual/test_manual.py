@@ -76,7 +76,7 @@ def test_building_takes_seconds():
 
 
 def test_length_is_that_of_the_paper():
-    """The paper says 15 pages; with a bench and a real aircraft's flight, which it has not, 12 to 20
+    """The paper says 15 pages; with bench and flight of a real aircraft, which it has not, 12 to 20
     are wanted. Counted in the PDF itself.
     """
     assert 12 <= len(re.findall(r"/Type\s*/Page\b(?!s)", pdf_objects())) <= 20
