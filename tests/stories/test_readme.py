@@ -128,6 +128,10 @@ def test_command_runs(line, folder, capsys):
         require_sandbox()
     if words[0] == "report":
         grade_by_hand(folder / words[2])
+    if "--bench" in words[1:-1] and words[0] == "fly":  # which README measures a line before
+        assert (
+            main(["bench", "--port", "sim-python", "--camera", "sim", "--out", "bench.toml"]) == 0
+        )
     if words[0] == "class":  # which flies until Ctrl-C
         words += ["--flights", "1", "--laps", "0", "--no-browser", "--web-port", "0"]
     noticed = words[0] == "watch" or (words[0] == "find-port" and not find_boards())
