@@ -65,6 +65,22 @@ def test_a_stamp_from_the_future_does_not_make_an_image_new_for_ever():
     assert not supervisor.check(1.4, command(1)) and supervisor.check(1.45, command(1))
 
 
+@pytest.mark.parametrize("t", [math.nan, math.inf, -math.inf])
+def test_an_image_without_a_time_is_old(t):
+    """A camera's driver that cannot tell when it took an image is no reason to trust it."""
+    supervisor = Supervisor()
+    supervisor.see(picture(1, t), 1.0)
+    assert "allowed" in supervisor.check(1.0, command(1))
+
+
+def test_the_times_of_images_do_not_fill_the_memory():
+    """Ten minutes at 20 Hz keep the newest 64."""
+    supervisor = Supervisor()
+    for n in range(20 * 600):
+        supervisor.check(n / 20.0, command(n))
+    assert len(supervisor._taken) == 64 and not supervisor.reason
+
+
 def test_a_pilot_by_images_needs_one():
     """0.4 s without any; a pilot by the state needs none."""
     by_images, by_state = Supervisor(by_images=True), Supervisor()
