@@ -169,13 +169,14 @@ def _select(
     nominal, chosen = naming.before.model, list[Effect]()
     windows = select_windows(naming.windows, fitted)
     result = _linearise(base, windows, nominal, naming.before.initial_states[fitted])
-    needed = VERY_STRONG_EVIDENCE
+    needed, pruned = VERY_STRONG_EVIDENCE, set[str]()
     while len(chosen) < MAX_TERMS:
         level = _chi2_level(base, windows, result)
         tried = [
             v
             for v in effect_variants((*SPARSE_EFFECTS, *catalogue), windows)
-            if not {p.name for p in v.effect.parameters} & set(result.model.values)
+            if v.effect.name not in pruned
+            and not {p.name for p in v.effect.parameters} & set(result.model.values)
         ]
         for variant, values in _best_candidates(base, windows, result, tried, level, needed):
             added = _fit_with(base, windows, result, variant, values)
@@ -186,8 +187,12 @@ def _select(
             break
         # As for a second effect: more than an error of the first one's formula leaves.
         needed = max(needed, UNRELATED_FORMULA_ERROR * gained)
-        chosen.append(variant.effect)
-        chosen, result = _prune(base, windows, nominal, chosen, added)
+        with_it = [*chosen, variant.effect]
+        chosen, result = _prune(base, windows, nominal, with_it, added)
+        if variant.effect not in chosen:  # the best one left does not earn its penalty
+            break
+        # What was pruned is not tried again: two terms could replace each other for ever.
+        pruned |= {effect.name for effect in with_it} - {effect.name for effect in chosen}
         # Rows that the new term explains had been taken for outliers.
         windows = _reweigh(base, plain, result.model, result.initial_states)
         result = _linearise(base, windows, result.model, result.initial_states)

@@ -1,6 +1,7 @@
 """The supervisor: each limit by hand, faults drawn at random, and its place in the loop."""
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -255,3 +256,26 @@ def test_a_pilot_that_raises_hands_back_at_once_under_supervision():
 
     flight = Loop(Pilot(step3=fail), Recorder(), supervisor=Supervisor()).run(1.0)
     assert (flight.reason, len(flight.t)) == ("handed back", 4)
+
+
+def test_equal_pictures_under_new_numbers_end_the_flight():
+    """The loop shows every new image to the supervisor: the fifth equal one comes in step 4."""
+
+    class StuckSensor:
+        def next_image(self, t: float) -> Image:
+            return picture(round(t / PERIOD), t, value=90)
+
+    flight = Loop(Pilot(), Recorder(), StuckSensor(), supervisor=Supervisor()).run(1.0)
+    assert (flight.reason, len(flight.t)) == ("handed back", 5)
+
+
+def test_a_slow_pilot_ends_the_flight():
+    """The loop tells the supervisor how long the pilot took: 50 ms of 10 ms allowed, in step 3."""
+
+    def ponder():
+        time.sleep(0.05)
+        return Command(0.5, 0.0, 0.0, 0.0)
+
+    supervisor = Supervisor(SupervisorSettings(max_pilot_s=0.01))
+    flight = Loop(Pilot(step3=ponder), Recorder(), supervisor=supervisor).run(1.0)
+    assert flight.reason == "handed back" and "the pilot took" in supervisor.reason

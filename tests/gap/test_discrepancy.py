@@ -9,6 +9,7 @@ from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.sparse import SPARSE_EFFECTS
 from falconwing_kit.core.flight_table import FlightTable
+from falconwing_kit.gap import discrepancy as discrepancy_module
 from falconwing_kit.gap.close import GapClosure, close_gap
 from falconwing_kit.gap.discrepancy import Discrepancy, discrepancy_record, find_discrepancy
 from falconwing_kit.gap.name import EffectCandidate, Naming, fit_flight
@@ -31,17 +32,36 @@ def outside(flight: FlightTable) -> tuple[Naming, GapClosure]:
     return naming, close_gap(own_base(), naming)
 
 
-@cache
-def found() -> tuple[Discrepancy, GapClosure]:
+def flight_with_both() -> FlightTable:
     """A minute of the own aircraft with both terms planted."""
     rng, model = np.random.default_rng(61), own_aircraft()
     for name in ("pitch moment with throttle", "roll moment with rudder"):
         model = model.with_effect(SPARSE[name])
-    flight = measured(fly_figure_eights([model.with_values(PLANTED)], 60.0, rng), rng)
-    naming, closed = outside(flight)
+    return measured(fly_figure_eights([model.with_values(PLANTED)], 60.0, rng), rng)
+
+
+@cache
+def found() -> tuple[Discrepancy, GapClosure]:
+    """What is found in that minute."""
+    naming, closed = outside(flight_with_both())
     discrepancy = find_discrepancy(own_base(), naming, closed)
     assert discrepancy is not None
     return discrepancy, closed
+
+
+@pytest.mark.timeout(120)
+def test_a_term_that_is_always_removed_again_ends_the_search(monkeypatch):
+    """Evidence for a second term, but not enough to keep it: the first alone is the answer."""
+    first = []
+
+    def keep_the_first(base, windows, nominal, chosen, result):
+        if len(chosen) == 1:
+            first[:] = [(chosen, result)]
+        return first[0]
+
+    monkeypatch.setattr(discrepancy_module, "_prune", keep_the_first)
+    found_with_one = find_discrepancy(own_base(), *outside(flight_with_both()))
+    assert found_with_one is not None and len(found_with_one.terms) == 1
 
 
 def test_planted_terms_are_found_with_their_numbers():

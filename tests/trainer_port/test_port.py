@@ -245,6 +245,12 @@ def test_a_pilot_who_took_over_keeps_the_aircraft(board, port, was_engaged):
             "elevator 1400 us, the pilot's stick 1520 +- 100 us",
         ),
         (0.5, None, {"engages_without_pilot": True}, ""),
+        (
+            0.5,
+            (1300, 1560, 1520),
+            {"has_pilot": True},
+            "the pilot's radio has 3 channels, 4 are sent",
+        ),
     ],
 )
 def test_why_the_board_does_not_engage_is_said(board, port, throttle, pilot_us, says, reason):
@@ -542,3 +548,12 @@ def test_a_board_that_answers_without_pulses_is_dropped_within_150_ms(board, por
     assert [event.name for event in port.events].count("no pulses") == 1
     port.send(STICKS, engage=True)
     assert not board.commands[-1].engage
+
+
+def test_a_board_may_be_without_pulses_before_it_is_asked(board, port):
+    """Silent in SAFE, as its setting allows: nothing is reported, and it still engages."""
+    silent = replace(SAYS, silent=True)
+    for k in range(20):
+        step(board, port, replace(silent, last_sequence=100 + k, accepted=40 + k))
+        port.send(STICKS, engage=False)
+    assert port.engagement == "off" and "no pulses" not in {event.name for event in port.events}

@@ -116,6 +116,10 @@ class AfterFlight:
         if self._is_closed:
             raise RuntimeError("the class has ended")
         if self._pool is None:
+            # While another thread imports OpenCV, sys.path holds OpenCV's own folder, whose
+            # `typing` breaks a process that takes over this path: wait for the end of the import.
+            import cv2  # noqa: F401
+
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(2, context, _begin_process)
         return self._pool

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import read_text
@@ -37,6 +38,7 @@ def test_damaged_files_end_in_one_sentence(tmp_path: Path):
         (OSError(40, "Too many levels of symbolic links", "a"), "a: Too many levels"),
         (ModuleNotFoundError("x", name="cv2"), "the library cv2 is not installed"),
         (ImportError("cannot allocate memory"), "a library cannot be loaded"),
+        (Image.DecompressionBombError("256 million pixels"), "an image is too large"),
     ],
 )
 def test_the_last_door_has_a_sentence(error, word):

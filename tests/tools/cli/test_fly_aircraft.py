@@ -24,6 +24,7 @@ from falconwing_kit.tools.cli import checklist as walking
 from falconwing_kit.tools.cli import fly as verb
 from falconwing_kit.tools.cli.fly_aircraft import AircraftPort
 from falconwing_kit.tools.cli.main import main
+from falconwing_kit.tools.devices.grabber import Grabber
 from falconwing_kit.tools.hardware.bench_record import calibration_digest, require_bench_test
 from falconwing_kit.tools.hardware.checklists import load_checklists
 from falconwing_kit.trainer_port.ppm import load_calibration
@@ -176,11 +177,16 @@ def test_a_frozen_video_hands_back_and_the_pin_goes_safe(bench, monkeypatch, cap
 
 @pytest.mark.usefixtures("steady")
 def test_a_flight_until_its_time_is_up_succeeds(bench, monkeypatch, capsys):
-    """Exit 0, and control is handed back."""
+    """Exit 0, and control is handed back at once, although closing the camera takes two seconds."""
     video = write_video("clip.avi", [*range(70), *range(69, -1, -1)])
     pass_bench_test(monkeypatch, bench, video)
     capsys.readouterr()
+    stop = Grabber.stop
+    monkeypatch.setattr(Grabber, "stop", lambda images: (time.sleep(2.0), stop(images))[1])
+    bench.ppm_frames()
     assert fly(bench, video, "--seconds", "2") == 0
+    turned = [frame.t_slots[-1] for frame in bench.ppm_frames() if frame.slots_us[1] > 1650.0]
+    assert turned and turned[-1] - turned[0] < 2.0 + 0.25
     found = json.loads(capsys.readouterr().out)
     assert found["reason"] == "duration" and found["engaged_at_s"] is not None
     assert found["margin_s"] > 0.2

@@ -1,10 +1,13 @@
 """The table of verbs: read from the first lines of files, so that a verb is one file."""
 
 import importlib
+import subprocess
+import sys
 
 import pytest
 
-from falconwing_kit.tools.cli.main import VERBS, find_verbs
+from falconwing_kit.tools.cli.main import VERBS, find_verbs, main
+from falconwing_kit.tools.cli.size import Size
 
 FIXED = [
     "demo",
@@ -55,3 +58,21 @@ def test_a_new_file_is_a_new_verb(tmp_path):
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     assert find_verbs(tmp_path) == (("my-verb", "my_verb", "MyVerb", "do it"),)
+
+
+def test_a_closed_pipe_is_no_error():
+    """`falconwing size | head -1`: the reader has gone before the first line."""
+    words = [sys.executable, "-m", "falconwing_kit.tools.cli.main", "size"]
+    run = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    run.stdout.close()
+    assert run.stderr.read() == "" and run.wait() == 0
+
+
+def test_ctrl_c_is_one_word(monkeypatch, capsys):
+    """Exit code 130, as a shell's own commands give it."""
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Size, "run", interrupt)
+    assert main(["size"]) == 130 and capsys.readouterr().err == "interrupted\n"
