@@ -1,11 +1,11 @@
-"""Build of manual and site: manual.typ -> manual.pdf and manual.html; all pages -> the site, offline.
+"""Build of manual and site, offline: manual.typ -> manual.pdf, manual.html; all pages -> the site.
 
     .venv/bin/python manual/build.py              the manual, into build/manual, in seconds
     .venv/bin/python manual/build.py --out here
-    .venv/bin/python manual/build.py site         the site, into build/site; open build/site/index.html
+    .venv/bin/python manual/build.py site         the site; then open build/site/index.html
 
-The manual needs the extra `manual` (typst, one wheel), the site the extra `site`. Neither is kept in
-git. Figures are redrawn by figures/make_figures.py only; the site shows the labs' outputs if
+The manual needs the extra `manual` (typst, one wheel), the site the extra `site`. Neither is kept
+in git. Figures are redrawn by figures/make_figures.py only; the site shows the labs' outputs if
 `falconwing labs selftest --outputs build/lab_outputs` has written them.
 """
 

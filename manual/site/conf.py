@@ -17,7 +17,7 @@ myst_heading_anchors = 3
 myst_all_links_external = False
 
 autodoc_member_order = "alphabetical"
-autodoc_typehints = "none"  # the signature has them
+autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 add_module_names = False
@@ -47,12 +47,15 @@ _EQUATION = re.compile(r"\S.* = .*|.*\S {2,}\[.*\]$")
 def setup(app: Any) -> None:
     """Called by Sphinx: docstrings as the kit writes them, and formulas as MathML."""
     app.connect("autodoc-process-docstring", plain_docstring, priority=400)  # before napoleon's 500
+    app.connect("autodoc-process-signature", short_types)
     app.add_html_math_renderer(
         "mathml", inline_renderers=(inline_math, None), block_renderers=(block_math, None)
     )
 
 
-def plain_docstring(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+def plain_docstring(
+    app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]
+) -> None:
     """The kit's plain-text docstrings -> reStructuredText, in place.
 
     A paragraph of equations keeps its lines; elsewhere no character is markup but `code`.
@@ -68,19 +71,35 @@ def plain_docstring(app: Any, what: str, name: str, obj: Any, options: Any, line
             blocks.append(block)
             block = []
     out: list[str] = []
-    for block in blocks:
-        if not _HEAD.match(block[0].strip()) and all(map(_EQUATION.match, block)):
+    for number, block in enumerate(blocks):
+        if number and not _HEAD.match(block[0].strip()) and all(map(_EQUATION.match, block)):
             out += ["::", "", *(f"    {line}" for line in block), ""]
         else:
             out += [*map(escape, block), ""]
     lines[:] = out
 
 
+def short_types(*arguments: Any) -> tuple[str | None, str | None]:
+    """The signature and the result of Sphinx's event, with the kit's own names of types."""
+    signature, result = arguments[-2:]
+    return short(signature), short(result)
+
+
+def short(text: str | None) -> str | None:
+    """A signature in which arrays are `Array` and no type carries its module."""
+    any_shape = r"(?:tuple\[)?~?(?:typing\.)?Any(?:, \.\.\.\])?"
+    number = r"(?:~?numpy\.)?dtype\[[^\]]+\]"
+    array = rf"~?(?:numpy\.)?ndarray\[{any_shape}, {number}\]"
+    return text and re.sub(r"~(?:\w+\.)+(\w+)", r"\1", re.sub(array, "Array", text))
+
+
 def escape(line: str) -> str:
     """A line whose asterisks, bars and trailing underscores are themselves, outside `code`."""
     parts = re.split(r"(`[^`]*`)", line.replace("``", "`"))
     return "".join(
-        f"`{part}`" if k % 2 and len(part) > 2 else re.sub(r"([\\*|])|(?<=\w)(_)(?!\w)", r"\\\1\2", part)
+        f"`{part}`"
+        if k % 2 and len(part) > 2
+        else re.sub(r"([\\*|])|(?<=\w)(_)(?!\w)", r"\\\1\2", part)
         for k, part in enumerate(parts)
     )
 

@@ -8,7 +8,6 @@ is executed: outputs of the labs come from a cache that `falconwing labs selftes
 
 import base64
 import html
-import importlib
 import json
 import os
 import re
@@ -43,11 +42,10 @@ PLACES = {
     "LICENSES.md": "licences.md",
 }
 MADE = {"manual/site/manual.pdf"}  # by the build, beside the pages that name it
-ROOMS = (
-    "core scene aircraft trainer_port data vision control sysid flight learning gap".split()
-)
 _FENCE = re.compile(r"^(```+|~~~+).*?^\1[ \t]*$", re.MULTILINE | re.DOTALL)
-_LINK = re.compile(r"(?P<code>`+)[^`]+?(?P=code)|(?P<image>!?)\[(?P<text>[^\]]*)\]\((?P<to>[^)\s]+)\)")
+_LINK = re.compile(
+    r"(?P<code>`+)[^`]+?(?P=code)|(?P<image>!?)\[(?P<text>[^\]]*)\]\((?P<to>[^)\s]+)\)"
+)
 _ELSEWHERE = re.compile(r"[a-z]+:|#")
 
 
@@ -127,8 +125,11 @@ class Stage:
         named = {*PLACES.values()} | {f"howto/{p.name}" for p in (SITE / "howto").glob("*.md")}
         others = [p for p in self.places.values() if p.startswith("howto/") and p not in named]
         self.list("howto/index.md", [Path(p).stem for p in others])
-        for room in ROOMS:
+        rooms = [path.parent.name for path in (self.root / "falconwing_kit").glob("*/__init__.py")]
+        rooms = sorted(set(rooms) - {"tools"})
+        for room in rooms:
             self.put(f"api/{room}.md", api_page(room))
+        self.list("api/index.md", rooms)
         if self.problems:
             raise RuntimeError("\n".join(self.problems))
 
@@ -211,7 +212,10 @@ class Stage:
     def lab_head(self, folder: Path, with_outputs: bool) -> str:
         """Where the notebook is, where it can be opened, and whose outputs stand below."""
         name = f"labs/{folder.name}/{folder.name[:5]}.ipynb"
-        links = [("Notebook", self.settings.file_url(name)), ("Run it", self.settings.launch_url(name))]
+        links = [
+            ("Notebook", self.settings.file_url(name)),
+            ("Run it", self.settings.launch_url(name)),
+        ]
         shown = " | ".join(f"[{text}]({url})" for text, url in links if url) or f"`{name}`"
         outputs = (
             "Outputs are those of the solution, which is not shown."
@@ -254,11 +258,9 @@ def markdown_cell(text: str) -> dict[str, Any]:
 def api_page(room: str) -> str:
     """The public names of a room, described by their docstrings."""
     module = f"falconwing_kit.{room}"
-    head = (importlib.import_module(module).__doc__ or "").split("\n")[0].partition(": ")[2]
-    summary = head[:1].upper() + head[1:]
     return (
-        f"# {module}\n\n{summary}\n\n```{{eval-rst}}\n.. automodule:: {module}\n"
-        "   :no-index:\n   :members:\n   :imported-members:\n   :undoc-members:\n```\n"
+        f"# {module}\n\n```{{eval-rst}}\n.. automodule:: {module}\n"
+        "   :members:\n   :imported-members:\n```\n"
     )
 
 
@@ -285,7 +287,8 @@ def book_pages(page: str, stage: Stage) -> None:
         anchor = next(a for a, page in owner.items() if page == name)
         stage.put(
             f"builder/{name}.md",
-            f'# {title}\n\n`````{{raw}} html\n<div class="book" id="{anchor}">{text}</div>\n`````\n',
+            f"# {title}\n\n`````{{raw}} html\n"
+            f'<div class="book" id="{anchor}">{text}</div>\n`````\n',
         )
 
 

@@ -31,6 +31,7 @@ PAGES = (
     "CONTRIBUTING.md",
     "falconwing_kit/README.md",
     "manual/*.md",
+    "manual/site/**/*.md",
     "manual/chapters/*.typ",
     "labs/*.md",
 )
