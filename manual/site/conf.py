@@ -86,11 +86,15 @@ def short_types(*arguments: Any) -> tuple[str | None, str | None]:
 
 
 def short(text: str | None) -> str | None:
-    """A signature in which arrays are `Array` and no type carries its module."""
-    any_shape = r"(?:tuple\[)?~?(?:typing\.)?Any(?:, \.\.\.\])?"
-    number = r"(?:~?numpy\.)?dtype\[[^\]]+\]"
-    array = rf"~?(?:numpy\.)?ndarray\[{any_shape}, {number}\]"
-    return text and re.sub(r"~(?:\w+\.)+(\w+)", r"\1", re.sub(array, "Array", text))
+    """A signature in which no type carries its module, and arrays are `Array` and `ArrayLike`."""
+    if text is None:
+        return None
+    text = re.sub(r"~(?:\w+\.)+(\w+)", r"\1", text)
+    text = re.sub(
+        r"(?:numpy\.)?ndarray\[(?:tuple\[)?Any(?:, \.\.\.\])?, dtype\[[^\]]+\]\]", "Array", text
+    )
+    last = r"_NestedSequence\[(?:bool \| int \| float \| )?complex \| bytes \| str\]"
+    return re.sub(rf"(?:_Buffer \| )?_SupportsArray\[.*?{last}", "ArrayLike", text)
 
 
 def escape(line: str) -> str:

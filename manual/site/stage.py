@@ -206,6 +206,7 @@ class Stage:
                 cell["source"] = self.rewrite(text, source, f"labs/{name}.ipynb")
             elif "exercise" not in cell["metadata"]:
                 cell["outputs"] = known.get(text, [])
+                cell["metadata"]["mystnb"] = {"image": {"alt": drawn_by(cell["metadata"])}}
         notebook["cells"].insert(1, markdown_cell(self.lab_head(folder, bool(known))))
         return json.dumps(notebook)
 
@@ -253,6 +254,12 @@ def outside_fences(text: str, change: Callable[[str], str]) -> str:
 def markdown_cell(text: str) -> dict[str, Any]:
     """A cell of a notebook."""
     return {"cell_type": "markdown", "id": "site-head", "metadata": {}, "source": text}
+
+
+def drawn_by(metadata: dict[str, Any]) -> str:
+    """Words for a picture that a cell draws; a figure of the lab has a name."""
+    name = metadata.get("figure", "")
+    return f"Drawn by the cell above{': figure ' + name if name else ''}"
 
 
 def api_page(room: str) -> str:

@@ -55,6 +55,13 @@ def test_a_planted_word_is_reported(tmp_path, line):
     ]
 
 
+def test_a_planted_word_on_a_page_of_the_site_is_reported(tmp_path):
+    """A folder below the site's own."""
+    (tmp_path / "manual" / "site" / "concepts").mkdir(parents=True)
+    (tmp_path / "manual" / "site" / "concepts" / "loop.md").write_text("# Loop\n\nIt knows.\n")
+    assert word_problems(tmp_path) == ["manual/site/concepts/loop.md:3: knows"]
+
+
 def word_problems(root: Path) -> list[str]:
     """Lines with a word of the list, one problem each with file, line and word.
 

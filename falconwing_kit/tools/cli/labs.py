@@ -156,8 +156,9 @@ class Selftest:
         from falconwing_kit.tools.grading.selftest import selftest
 
         folders = select_labs(self.names, self.labs)
-        for folder in folders if self.outputs is not None else ():
-            write_outputs(folder.resolve(), self.outputs)
+        if self.outputs is not None:
+            for folder in folders:
+                write_outputs(folder.resolve(), self.outputs)
         results = [selftest(folder, sandboxed=not self.unsafe_no_sandbox) for folder in folders]
         passed = all(result.passed for result in results)
         if self.json:
