@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from tests.chromium import headless_chromium
-from tests.manual.book import MANUAL, ROOT, Page
+from tests.manual.book import MANUAL, ROOT, Page, script
 
 sys.path.insert(0, str(MANUAL / "site"))
 import conf
@@ -210,6 +210,14 @@ def test_solutions_stay_hidden_and_outputs_come_from_the_cache(tmp_path):
         shown = [cell["outputs"] for cell in code if "exercise" not in cell["metadata"]]
         assert all(outputs == (known if name == "lab01" else []) for outputs in shown)
         assert all(cell["outputs"] == [] for cell in exercises)
+
+
+def test_a_folder_with_other_files_is_not_replaced(tmp_path, capsys):
+    """Exit code 1, one sentence, and the file is still there."""
+    (tmp_path / "thesis.txt").write_text("years of work")
+    assert script("build.py").main(["site", "--out", str(tmp_path)]) == 1
+    assert "expected an empty folder or an older site" in capsys.readouterr().err
+    assert (tmp_path / "thesis.txt").is_file()
 
 
 def test_dead_links_of_pages_are_found(tmp_path):
