@@ -1,10 +1,12 @@
-"""Build of the manual: manual.typ and its parts -> manual.pdf and manual.html, offline, in seconds.
+"""Build of manual and site, offline: manual.typ -> manual.pdf, manual.html; all pages -> the site.
 
-    .venv/bin/python manual/build.py              into build/manual
+    .venv/bin/python manual/build.py              the manual, into build/manual, in seconds
     .venv/bin/python manual/build.py --out here
+    .venv/bin/python manual/build.py site         the site; then open build/site/index.html
 
-Needs the extra `manual` (typst, one wheel). Neither file is kept in git. Figures are redrawn by
-figures/make_figures.py only.
+The manual needs the extra `manual` (typst, one wheel), the site the extra `site`. Neither is kept
+in git. Figures are redrawn by figures/make_figures.py only; the site shows the labs' outputs if
+`falconwing labs selftest --outputs build/lab_outputs` has written them.
 """
 
 import argparse
@@ -17,26 +19,26 @@ ROOT = FOLDER.parent
 
 
 def main(words: list[str] | None = None) -> int:
-    """Build both; 0 done, 1 if typst is missing or the source has an error."""
-    parser = argparse.ArgumentParser(description="Build the manual as PDF and HTML.")
-    parser.add_argument(
-        "--out", type=Path, default=ROOT / "build" / "manual", help="folder to write to"
-    )
-    out = parser.parse_args(words).out
+    """Build one of them; 0 done, 1 if a library is missing or the source has an error."""
+    parser = argparse.ArgumentParser(description="Build the manual as PDF and HTML, or the site.")
+    parser.add_argument("what", nargs="?", choices=("manual", "site"), default="manual")
+    parser.add_argument("--out", type=Path, help="folder to write to; build/WHAT if not given")
+    settings = parser.parse_args(words)
+    out = settings.out or ROOT / "build" / settings.what
     try:
-        pages = build(out)
+        pages = build_site(out) if settings.what == "site" else build(out)
     except ModuleNotFoundError as missing:
         print(
-            f"manual: expected {missing.name}, got none; "
-            'pip install -c constraints.txt -e ".[manual]"',
+            f"{settings.what}: expected {missing.name}, got none; "
+            f'pip install -c constraints.txt -e ".[{settings.what}]"',
             file=sys.stderr,
         )
         return 1
     except RuntimeError as mistake:
-        print(f"manual: {mistake}", file=sys.stderr)
+        print(f"{settings.what}: {mistake}", file=sys.stderr)
         return 1
     for path in pages:
-        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
+        print(f"{path}: {size_mb(path):.1f} MB")
     return 0
 
 
@@ -56,6 +58,21 @@ def build(out: Path) -> tuple[Path, Path]:
     return paths
 
 
+def build_site(out: Path) -> tuple[Path]:
+    """Write the site to a folder, which is made anew; the path of its front page.
+
+    Raises:
+        RuntimeError: a page has an error or a dead link; or the folder holds something else.
+    """
+    if out.exists() and any(out.iterdir()) and not (out / "searchindex.js").is_file():
+        raise RuntimeError(f"expected an empty folder or an older site, got {out}; name another")
+    sys.path.insert(0, str(FOLDER / "site"))
+    from render import render
+
+    render(out.resolve(), compiled)
+    return (out / "index.html",)
+
+
 def compiled(form: str, **options: Any) -> Any:
     """The manual's bytes as "pdf", "html" or "png" (a list of pages), with bundled fonts only.
 
@@ -65,6 +82,12 @@ def compiled(form: str, **options: Any) -> Any:
     import typst
 
     return typst.compile(str(FOLDER / "manual.typ"), format=form, **where(), **options)
+
+
+def size_mb(path: Path) -> float:
+    """Size of a file, or of the whole site for its front page."""
+    files = path.parent.rglob("*") if path.name == "index.html" else [path]
+    return sum(file.stat().st_size for file in files if file.is_file()) / 1e6
 
 
 def where() -> dict[str, Any]:

@@ -32,6 +32,7 @@ ALONE = {
     "tools/grading": "the sandbox's time limits, and processes that it may not leave behind",
     "manual/test_commands.py": "commands in real time",
     "manual/test_manual.py": "processor time",
+    "manual/test_site.py": "processor time and a browser",
     "stories/test_host_killed.py": "a flight in real time",
     "stories/test_live_demo.py": "a browser beside a flight in real time",
     "stories/test_readme.py": "commands in real time",

@@ -31,6 +31,7 @@ PAGES = (
     "CONTRIBUTING.md",
     "falconwing_kit/README.md",
     "manual/*.md",
+    "manual/site/**/*.md",
     "manual/chapters/*.typ",
     "labs/*.md",
 )
@@ -52,6 +53,13 @@ def test_a_planted_word_is_reported(tmp_path, line):
     assert [problem.split(": ")[0] for problem in word_problems(tmp_path)] == [
         "falconwing_kit/core/planted.py:2"
     ]
+
+
+def test_a_planted_word_on_a_page_of_the_site_is_reported(tmp_path):
+    """A folder below the site's own."""
+    (tmp_path / "manual" / "site" / "concepts").mkdir(parents=True)
+    (tmp_path / "manual" / "site" / "concepts" / "loop.md").write_text("# Loop\n\nIt knows.\n")
+    assert word_problems(tmp_path) == ["manual/site/concepts/loop.md:3: knows"]
 
 
 def word_problems(root: Path) -> list[str]:

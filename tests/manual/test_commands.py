@@ -24,7 +24,7 @@ RUNS = list(dict.fromkeys(line for kind, line in commands() if kind == "runs"))
 LONG = (
     "identify",
     "gap",
-)  # these leave nothing for the commands after them, and README's test types them too
+)  # these leave nothing for the commands after them, and test_readme types them too
 # What sets up the reader's machine or needs half a gigabyte: start.py has
 # tests/house/test_start.py, the bracket tests/hardware/test_bracket.py.
 MACHINE = {
@@ -94,12 +94,12 @@ def test_command_runs(line, folder, monkeypatch, capsys):
     assert capsys.readouterr().out.count("\n") > 1
 
 
-def test_long_commands_are_those_of_readme():
+def test_long_commands_are_those_of_the_table():
     """But for the place that they write to; tests/stories/test_readme.py types them."""
     place = re.compile(r"(?<=--out )[\w.]+")
     left = [place.sub("", line) for line in RUNS if line.split()[1] in LONG]
-    readme = place.sub("", (ROOT / "README.md").read_text("utf-8"))
-    assert len(left) == 2 and all(line in readme for line in left)
+    table = place.sub("", (MANUAL / "site" / "commands.md").read_text("utf-8"))
+    assert len(left) == 2 and all(line in table for line in left)
 
 
 def test_commands_of_the_photos_are_those_of_their_page():

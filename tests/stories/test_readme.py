@@ -1,5 +1,5 @@
-"""README is true: its commands run, its figures are what the demo says, its tables name what is
-there.
+"""README and the site's own pages are true: their commands run, their figures are what the demo
+says, their tables name what is there.
 """
 
 import importlib.util
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from falconwing_kit import __version__
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.flight_table import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 from falconwing_kit.core.messages import Command, State
@@ -26,8 +27,14 @@ from tests.model_files import write_windy_model
 from tests.tools.bridge.ros2_logs import turns, write_flight
 
 ROOT = Path(__file__).resolve().parents[2]
+SITE = ROOT / "manual" / "site"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {
+    path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", *sorted(SITE.rglob("*.md")))
+}
 INLINE = re.compile(r"`((?:falconwing|python3 start\.py|\.venv/bin/\S+) [^`]+)`")
+TABLE = "manual/site/commands.md"  # where each verb has its line, if README has none
 # What a person types around the kit's own commands: nothing here is the kit's to test.
 AROUND = {
     "source .venv/bin/activate",
@@ -39,15 +46,27 @@ AROUND = {
 }
 
 
-def fenced(language: str) -> list[str]:
-    """The contents of README's fenced blocks of a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+def page(name: str) -> str:
+    """A page of the site by its path there."""
+    return PAGES[f"manual/site/{name}"]
 
 
-def commands() -> list[str]:
-    """Every command that README asks to be typed, in order, each once."""
-    lines = [line for block in fenced("sh") for line in block.splitlines() if line.strip()]
-    return list(dict.fromkeys(lines + INLINE.findall(README)))
+def fenced(language: str, text: str) -> list[str]:
+    """The contents of a page's fenced blocks of a language, indented ones too."""
+    return re.findall(rf"^ *```{language}\n(.*?)^ *```", text, re.MULTILINE | re.DOTALL)
+
+
+def commands(*texts: str) -> list[str]:
+    """Every command that pages ask to be typed, in order, each once."""
+    lines = [
+        line.strip()
+        for text in texts or PAGES.values()
+        for block in fenced("sh", text)
+        for line in block.splitlines()
+        if line.strip()
+    ]
+    inline = [found for text in texts or PAGES.values() for found in INLINE.findall(text)]
+    return list(dict.fromkeys(lines + inline))
 
 
 OURS = [line for line in commands() if shlex.split(line)[0] == "falconwing"]
@@ -86,7 +105,7 @@ def grade_by_hand(out):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A folder as the reader has it: the kit's data, an own flight, an own log of two seconds, one
-    of ROS 2, a model file, and lab 1, done.
+    of ROS 2, a model file, the airframe of its page, and lab 1, done.
     """
     shutil.copytree(data_path("case02_calm.csv").parent, tmp_path / "falconwing_kit" / "data")
     shutil.copy(data_path("case02_calm.csv"), tmp_path / "flight.csv")
@@ -101,8 +120,18 @@ def folder(tmp_path, monkeypatch):
             log.command(0.05 * k, Command(0.5, 0.0, 0.1, 0.0))
     write_flight(tmp_path / "ros2_log.mcap", turns())
     write_windy_model(tmp_path / "out" / "model_with_effect.toml")
+    (airframe,) = fenced("toml", page("howto/aircraft.md"))
+    (tmp_path / "my_airframe.toml").write_text(airframe, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def test_readme_is_short_and_cites():
+    """One screen more than a newcomer reads, and both citations with the paper's number."""
+    assert len(README.splitlines()) <= 130
+    (block,) = fenced("bibtex", README)
+    assert block.count("@") == 2 and "2505.01383" in block
+    assert f"version = {{{__version__}}}" in block
 
 
 def test_no_command_escapes():
@@ -110,7 +139,8 @@ def test_no_command_escapes():
     commands stand.
     """
     assert set(commands()) - set(OURS) - set(STARTS) == AROUND
-    assert len(OURS) > 6 and len(STARTS) == 2
+    assert len(OURS) > 40 and len(STARTS) == 2
+    assert len(commands(README)) > 6
     assert INLINE.findall("type `falconwing size --mass-g 150` or `falconwing_kit`") == [
         "falconwing size --mass-g 150"
     ]
@@ -128,7 +158,7 @@ def test_command_runs(line, folder, capsys):
         require_sandbox()
     if words[0] == "report":
         grade_by_hand(folder / words[2])
-    if "--bench" in words[1:-1] and words[0] == "fly":  # which README measures a line before
+    if "--bench" in words[1:-1] and words[0] == "fly":  # which the table measures a line before
         assert (
             main(["bench", "--port", "sim-python", "--camera", "sim", "--out", "bench.toml"]) == 0
         )
@@ -142,9 +172,18 @@ def test_command_runs(line, folder, capsys):
     assert capsys.readouterr().out.count("\n") > 3 or words[0] == "find-port"
 
 
+@pytest.mark.parametrize(
+    "name, block",
+    [(name, block) for name, text in PAGES.items() for block in fenced("python", text)],
+)
+def test_python_on_a_page_runs(name, block):
+    """Copied from the page into an empty program."""
+    exec(compile(block, name, "exec"), {})
+
+
 @pytest.mark.parametrize("line", STARTS)
 def test_start_hands_the_verb_over(line, tmp_path, monkeypatch):
-    """start.py itself, its commands written down and not run: the last one is README's verb."""
+    """start.py itself, its commands written down and not run: the last one is the page's verb."""
     spec = importlib.util.spec_from_file_location("start_of_readme", ROOT / "start.py")
     start = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(start)
@@ -163,8 +202,8 @@ def test_start_hands_the_verb_over(line, tmp_path, monkeypatch):
         assert run[-1][1:] == [verb, *options] and verb in [name for name, *_ in VERBS]
 
 
-def test_demo_says_what_readme_shows():
-    """The block of README against a fresh run, line by line.
+def test_demo_says_what_the_quick_start_shows():
+    """The block of that page against a fresh run, line by line.
 
     Words must be the same. Numbers may differ by a quarter: another processor rounds differently,
     which the one-step fit on raw differences makes large; a change of the answer is larger than
@@ -173,11 +212,11 @@ def test_demo_says_what_readme_shows():
     (line,) = [line for line in OURS if " demo " in line]
     run = demo_run()
     assert shlex.split(line)[1:] == list(WORDS) and run.code == 0
-    (shown,) = fenced("text")
+    (shown,) = fenced("text", page("quick_start.md"))
     number = re.compile(r"\d+\.?\d*")
-    for ours, readme in zip(run.printed.splitlines(), shown.splitlines(), strict=False):
-        assert number.sub("#", ours).split() == number.sub("#", readme).split()
-        values, expected = ([float(x) for x in number.findall(text)] for text in (ours, readme))
+    for ours, theirs in zip(run.printed.splitlines(), shown.splitlines(), strict=False):
+        assert number.sub("#", ours).split() == number.sub("#", theirs).split()
+        values, expected = ([float(x) for x in number.findall(text)] for text in (ours, theirs))
         assert values == pytest.approx(expected, rel=0.25)
 
 
@@ -207,37 +246,54 @@ def test_views_of_the_hall_can_be_made_again(name, tmp_path):
     assert np.abs(ours - again).mean() < 1.0
 
 
-def test_every_verb_stands_in_readme():
-    """A verb that nobody is told of does not exist for a newcomer."""
-    assert {shlex.split(line)[1] for line in OURS + STARTS} >= {name for name, *_ in VERBS} - {
-        "demo"
+def test_every_verb_stands_in_readme_or_in_the_table():
+    """A verb on no page does not exist for a newcomer; README leads to the table."""
+    shown = commands(README, PAGES[TABLE])
+    assert {shlex.split(line)[1] for line in shown if line.startswith("falconwing ")} >= {
+        name for name, *_ in VERBS
     }
+    assert f"]({TABLE})" in README
 
 
 def test_columns_are_those_of_the_reader():
     """The table of columns and the sentence below it, against the file reader's own lists."""
-    section = README[README.index("## Your own flight") : README.index("## Simulated")]
+    section = page("howto/your_flight.md")
     rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
     assert tuple(re.findall(r"`(\w+)`", " ".join(rows))) == REQUIRED_COLUMNS
     assert f"`{','.join((*OPTIONAL_COLUMNS, LABEL_COLUMN))}`" in section
 
 
-def test_links_and_rooms_lead_somewhere():
-    """Every file or folder that README names, and no room left out."""
+@pytest.mark.parametrize("name", PAGES)
+def test_links_and_paths_lead_somewhere(name):
+    """Every file or folder that a page names; links are relative to the page, paths to the kit."""
     path = re.compile(r"`((?:falconwing_kit|firmware|hardware|manual|tests)(?:/[\w./]+)?)`")
-    targets = [t for t in re.findall(r"\]\(([^)]+)\)", README) if not t.startswith("http")]
-    targets += path.findall(README)
-    assert len(targets) > 15
-    assert [target for target in targets if not (ROOT / target).exists()] == []
+    links = [t for t in re.findall(r"\]\(([^)\s]+)\)", PAGES[name]) if not t.startswith("http")]
+    here = (ROOT / name).parent
+    made = {"../manual.pdf"}  # by the site's build
+    assert [t for t in links if t not in made and not (here / t.split("#")[0]).exists()] == []
+    assert [t for t in path.findall(PAGES[name]) if not (ROOT / t).exists()] == []
+    assert len(links) > 15 or name != "README.md"
+
+
+def test_no_room_is_left_out():
+    """The table of the architecture against the folders."""
     rooms = {path.parent.name for path in (ROOT / "falconwing_kit").glob("*/__init__.py")}
-    assert rooms == {
-        target.split("/")[1] for target in targets if re.fullmatch(r"falconwing_kit/\w+", target)
-    }
+    assert rooms == set(re.findall(r"^\| `falconwing_kit/(\w+)`", page("architecture.md"), re.M))
+
+
+@pytest.mark.parametrize(
+    "name", sorted(name for name in PAGES if "/benchmarks/" in name and "index" not in name)
+)
+def test_measured_tables_come_with_their_command(name):
+    """How to measure it again stands on the page of every table."""
+    assert PAGES[name].count("\n| ") >= 4
+    assert re.search(r"python -m (?:pytest|tests\.benchmarks)|falconwing fly", PAGES[name])
+    assert f"]({Path(name).name})" in page("benchmarks/index.md")
 
 
 def test_speeds_come_with_their_machine_and_command():
     """A speed without the machine says nothing; how to measure it again must stand beside it."""
-    section = README[README.index("## Speed") : README.index("## Architecture")]
+    section = page("benchmarks/speed.md")
     assert section.count("\n| ") >= 4
     assert "pytest -m benchmark" in section
     assert re.search(r"core|processor|CPU", section)

@@ -138,6 +138,8 @@ class Selftest:
     """the folder with the labs; the checkout's own if not given"""
     unsafe_no_sandbox: bool = False
     """run the functions in plain processes; they are the labs' own code"""
+    outputs: Path | None = None
+    """run the solutions' notebooks too, and write their outputs here for `manual/build.py site`"""
     json: bool = False
     """print JSON instead of a table"""
 
@@ -150,9 +152,13 @@ class Selftest:
         Raises:
             InputError: there is no such lab, it cannot be used, or there is no sandbox here.
         """
+        from falconwing_kit.tools.grading.outputs import write_outputs
         from falconwing_kit.tools.grading.selftest import selftest
 
         folders = select_labs(self.names, self.labs)
+        if self.outputs is not None:
+            for folder in folders:
+                write_outputs(folder.resolve(), self.outputs)
         results = [selftest(folder, sandboxed=not self.unsafe_no_sandbox) for folder in folders]
         passed = all(result.passed for result in results)
         if self.json:

@@ -1,0 +1,325 @@
+"""The site: its sources are staged without a dead link, and the whole of it builds, small and
+readable on a phone.
+
+The pages in a browser are those of one build for all tests here; without Sphinx they are skipped,
+and fail in CI.
+"""
+
+import importlib.util
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from tests.chromium import headless_chromium
+from tests.manual.book import MANUAL, ROOT, Page, script
+
+sys.path.insert(0, str(MANUAL / "site"))
+import conf
+import render
+import stage
+
+NARROW, WIDE = {"width": 360, "height": 740}, {"width": 1280, "height": 900}
+LABS = [path.name[:5] for path in sorted((ROOT / "labs").glob("lab[0-9]*"))]
+# One page of each kind: tables, code, pictures, notebook, docstrings, the book's raw HTML.
+KINDS = (
+    *("index", "quick_start", "commands", "reproduced", "glossary", "paper_map", "concepts/frames"),
+    *("howto/hall", "benchmarks/pilots", "labs/lab04", "builder/04", "api/aircraft"),
+)
+# Contrast of every visible text with the nearest opaque background [WCAG 2.2, 1.4.3 and its
+# definitions of relative luminance and contrast ratio]; large text needs 3, any other 4.5.
+CONTRAST = """() => {
+  const number = text => (text.match(/[\\d.]+/g) || []).map(Number);
+  const luminance = rgb => rgb.slice(0, 3).map(v => v / 255)
+    .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
+  const low = [];
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  for (let node; node = walker.nextNode();) {
+    const element = node.parentElement;
+    if (!node.data.trim() || !element.checkVisibility({visibilityProperty: true})) continue;
+    const box = element.getBoundingClientRect(), style = getComputedStyle(element);
+    if (box.width < 2 || box.height < 2) continue;
+    if (["SCRIPT", "STYLE", "NOSCRIPT"].includes(element.tagName)) continue;
+    let behind = element, back = null;
+    for (; behind && !back; behind = behind.parentElement) {
+      const colour = number(getComputedStyle(behind).backgroundColor);
+      if (colour.length == 3 || colour[3] == 1) back = colour;
+    }
+    const [a, b] = [luminance(number(style.color)), luminance(back || [255, 255, 255])];
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    const size = parseFloat(style.fontSize);
+    const large = size >= 24 || (size >= 18.66 && style.fontWeight >= 700);
+    const place = `${element.tagName}.${element.className}: ${node.data.trim().slice(0, 30)}`;
+    if (ratio < (large ? 3 : 4.5)) low.push(`${ratio.toFixed(2)} ${place}`);
+  }
+  return [...new Set(low)];
+}"""
+
+
+# What sticks out of a page to the right, but for the inside of boxes that scroll by themselves.
+STICKS_OUT = """() => [...document.querySelectorAll("article *")].filter(element => {
+  if (element.getBoundingClientRect().right <= innerWidth + 1) return false;
+  for (let box = element; box && box.tagName != "ARTICLE"; box = box.parentElement)
+    if (["auto", "scroll"].includes(getComputedStyle(box.parentElement).overflowX)
+        && box.parentElement.tagName != "ARTICLE"
+        && box.parentElement.getBoundingClientRect().right <= innerWidth + 1) return false;
+  return true;
+}).map(element => `${element.tagName}: ${element.textContent.trim().slice(0, 30)}`)"""
+
+
+def staged(out, settings=None, outputs=Path("nowhere"), root=ROOT):
+    """A stage that is written."""
+    written = stage.Stage(out, settings or stage.Settings(), outputs, root)
+    written.write()
+    return written
+
+
+@cache
+def built():
+    """(the site's folder, CPU seconds of its build), by the command that people type."""
+    missing = [name for name in ("sphinx", "myst_nb", "furo") if not importlib.util.find_spec(name)]
+    if missing:
+        (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(f"expected {missing[0]}")
+    out = Path(os.environ["FALCONWING_SITE_OUT"])
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    words = [sys.executable, str(MANUAL / "build.py"), "site", "--out", str(out)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    run = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert run.returncode == 0, run.stderr
+    return out, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The built site's folder."""
+    os.environ["FALCONWING_SITE_OUT"] = str(tmp_path_factory.mktemp("site") / "html")
+    return built()[0]
+
+
+@pytest.fixture(scope="module")
+def pages(site):
+    """Every page of the site but Sphinx's own indices, read."""
+    own = ("genindex", "search", "py-modindex")
+    return {
+        path.relative_to(site).as_posix(): Page(path.read_text(encoding="utf-8"))
+        for path in sorted(site.rglob("*.html"))
+        if path.stem not in own
+    }
+
+
+def test_every_page_of_the_repository_is_on_the_site(tmp_path):
+    """Manual, labs, hardware, firmware and the package's own pages; nothing is left out."""
+    staged(tmp_path / "site")
+    places = stage.page_places(ROOT)
+    there = {p.relative_to(ROOT).as_posix() for p in (ROOT / "manual").glob("*.md")}
+    there |= {p.relative_to(ROOT).as_posix() for p in (ROOT / "labs").glob("*.md")}
+    there |= {"hardware/README.md", "firmware/README.md", "falconwing_kit/README.md"}
+    assert there <= set(places)
+    assert [p for p in places.values() if not (tmp_path / "site" / p).is_file()] == []
+    assert len(list((tmp_path / "site" / "labs").glob("*.ipynb"))) == len(LABS) >= 12
+
+
+def small_root(folder, text):
+    """A repository with one page of the site, one lab's route, and a page in another place."""
+    others = ("labs/README.md", "manual/gallery.md", "manual/site/howto/index.md")
+    pages = {"manual/site/index.md": text, "manual/site/api/index.md": "# A\n"}
+    pages |= dict.fromkeys(others, "# A page\n")
+    for name, content in pages.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(content, encoding="utf-8")
+    (folder / "setup.py").write_text("")
+    return folder
+
+
+def test_a_planted_dead_link_is_refused_with_its_line(tmp_path):
+    """Written here by hand; code and fenced blocks are no links."""
+    root = small_root(
+        tmp_path / "kit",
+        "# P\n\n```text\n[no](nothing.md)\n```\n`[no](link.md)`\n\n[words\nbroken](missing.md)\n",
+    )
+    with pytest.raises(RuntimeError) as refusal:
+        staged(tmp_path / "out", root=root)
+    assert str(refusal.value) == (
+        "manual/site/index.md:8: expected a link to a file of the repository, got missing.md"
+    )
+
+
+def test_links_go_to_pages_to_the_published_repository_or_nowhere(tmp_path):
+    """Three links: a page elsewhere, a file that is no page, an address."""
+    text = "# P\n\n[a](../gallery.md#x), [set-up](../../setup.py) and [b](https://mcap.dev)\n"
+    root = small_root(tmp_path / "kit", text)
+    staged(tmp_path / "out", root=root)
+    plain = "# P\n\n[a](gallery.md#x), set-up (`setup.py`) and [b](https://mcap.dev)\n"
+    assert (tmp_path / "out" / "index.md").read_text() == plain
+    published = stage.Settings(repository_url="https://github.com/someone/kit")
+    staged(tmp_path / "out", published, root=root)
+    linked = plain.replace(
+        "set-up (`setup.py`)", "[set-up](https://github.com/someone/kit/blob/main/setup.py)"
+    )
+    assert (tmp_path / "out" / "index.md").read_text() == linked
+
+
+def test_launch_links_stand_only_where_a_repository_is_named(tmp_path):
+    """Empty as shipped: no page links to a repository or a service that would run a notebook."""
+    assert stage.Settings.load() == stage.Settings("", "")
+    staged(tmp_path / "site")
+    lab = (tmp_path / "site" / "labs" / "lab01.ipynb").read_text()
+    assert "mybinder" not in lab and "blob/main" not in lab
+    published = stage.Settings(repository_url="https://github.com/someone/kit")
+    staged(tmp_path / "site", published)
+    lab = (tmp_path / "site" / "labs" / "lab01.ipynb").read_text()
+    name = "labs/lab01_sizing/lab01.ipynb"
+    assert f"https://mybinder.org/v2/gh/someone/kit/main?labpath={name}" in lab
+    assert f"https://github.com/someone/kit/blob/main/{name}" in lab
+    assert stage.Settings(repository_url="https://example.org/kit").launch_url(name) == ""
+
+
+@pytest.mark.parametrize(
+    "text, words", [('site_url = "kit"', "got 'kit'"), ('repo_url = ""', "got repo_url")]
+)
+def test_wrong_settings_are_refused(tmp_path, text, words):
+    """One sentence that names the key."""
+    (tmp_path / "settings.toml").write_text(text)
+    with pytest.raises(RuntimeError, match=words):
+        stage.Settings.load(tmp_path / "settings.toml")
+
+
+def test_solutions_stay_hidden_and_outputs_come_from_the_cache(tmp_path):
+    """A cache written by hand for every cell of lab 1: each gets its output, but for exercises."""
+    source = ROOT / "labs" / "lab01_sizing" / "lab01.ipynb"
+    cells = [c for c in json.loads(source.read_text())["cells"] if c["cell_type"] == "code"]
+    known = [{"output_type": "stream", "name": "stdout", "text": "planted"}]
+    cache_file = tmp_path / "cache" / "lab01_sizing.json"
+    cache_file.parent.mkdir()
+    cache_file.write_text(json.dumps({"".join(cell["source"]): known for cell in cells}))
+    staged(tmp_path / "site", outputs=tmp_path / "cache")
+    for name in LABS:
+        page = json.loads((tmp_path / "site" / "labs" / f"{name}.ipynb").read_text())
+        code = [cell for cell in page["cells"] if cell["cell_type"] == "code"]
+        exercises = [cell for cell in code if "exercise" in cell["metadata"]]
+        assert exercises and all("NotImplementedError" in "".join(c["source"]) for c in exercises)
+        shown = [cell["outputs"] for cell in code if "exercise" not in cell["metadata"]]
+        assert all(outputs == (known if name == "lab01" else []) for outputs in shown)
+        assert all(cell["outputs"] == [] for cell in exercises)
+
+
+def test_a_folder_with_other_files_is_not_replaced(tmp_path, capsys):
+    """Exit code 1, one sentence, and the file is still there."""
+    (tmp_path / "thesis.txt").write_text("years of work")
+    assert script("build.py").main(["site", "--out", str(tmp_path)]) == 1
+    assert "expected an empty folder or an older site" in capsys.readouterr().err
+    assert (tmp_path / "thesis.txt").is_file()
+
+
+def test_dead_links_of_pages_are_found(tmp_path):
+    """Two pages by hand: a file and a place that are there, one of each that is not."""
+    (tmp_path / "a.html").write_text(
+        '<p id="here"><a href="b.html#there"></a><a href="#here"></a><a href="https://mcap.dev">'
+        '</a><a href="b.html#nowhere"></a><img src="missing.png"></p>'
+    )
+    (tmp_path / "b.html").write_text('<p id="there"></p>')
+    assert render.dead_links(tmp_path) == [
+        "a.html: dead link b.html#nowhere",
+        "a.html: dead link missing.png",
+    ]
+
+
+def test_docstrings_keep_their_equations_and_characters():
+    """By hand: an equation keeps its line, a star is a star, `code` is code."""
+    lines = ["Lift of `wing_area` * q.", "", "L = q S C   [paper]", "D = q S k", "", "v_ or |v|"]
+    conf.plain_docstring(None, "function", "lift", len, None, lines)
+    assert lines == [
+        "Lift of ``wing_area`` \\* q.",
+        "",
+        "::",
+        "",
+        "    L = q S C   [paper]",
+        "    D = q S k",
+        "",
+        "v\\_ or \\|v\\|",
+        "",
+    ]
+    array = "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.float64]]"
+    assert conf.short(f"(mass: {array}, a: ~kit.Airframe)") == "(mass: Array, a: Airframe)"
+
+
+def test_site_is_small_and_its_build_cheap(site):
+    """The limits of the plan: 60 s of CPU, and 25 MB, with the labs' outputs where they are."""
+    assert built()[1] < 60.0
+    total = sum(path.stat().st_size for path in site.rglob("*") if path.is_file())
+    assert total < 25e6 and (site / "searchindex.js").is_file()
+
+
+def test_links_lead_somewhere_and_nothing_comes_from_the_network(site, pages):
+    """Each page again, and what would be fetched while it opens: scripts, styles, pictures."""
+    assert len(pages) > 60 and render.dead_links(site) == []
+    for name, page in pages.items():
+        fetched = [a.get("src", "") for tag in ("script", "img") for a, _ in page.all(tag)]
+        fetched += [a["href"] for a, _ in page.all("link") if a.get("rel") != "canonical"]
+        assert [address for address in fetched if re.match(r"(https?:)?//", address)] == [], name
+
+
+def test_all_kinds_of_pages_are_there(pages):
+    """What the plan lists; the labs' pages, the book's chapters and the rooms by the folders."""
+    rooms = {p.parent.name for p in (ROOT / "falconwing_kit").glob("*/__init__.py")} - {"tools"}
+    expected = {f"{kind}.html" for kind in KINDS} | {f"api/{room}.html" for room in rooms}
+    expected |= {f"labs/{name}.html" for name in LABS}
+    expected |= {"gallery.html", "status.html", "install.html", "teaching/instructors.html"}
+    assert expected <= set(pages)
+    assert sum(name.startswith("builder/") for name in pages) > 15
+    assert "minimum_speed" in pages["api/aircraft.html"].text
+    missing = pages["reproduced.html"].text
+    assert all(
+        words in missing
+        for words in ("second real environment", "real aircraft", "digital camera that flies")
+    )
+
+
+def test_pages_can_be_read_aloud(pages):
+    """Language, one title, headings in order, and words for every picture [WCAG 2.2: 3.1.1, 2.4.6,
+    1.3.1, 1.1.1].
+    """
+    for name, page in pages.items():
+        ((attributes, _),) = page.all("html")
+        assert attributes["lang"] == "en", name
+        words = [a.get("alt", "") for a, _ in page.all("img")]
+        assert [alt for alt in words if not alt.strip() or "_images/" in alt] == [], name
+        levels = [int(tag[1]) for tag, _, _ in page.tags if re.fullmatch(r"h[1-6]", tag)]
+        assert levels.count(1) == 1 and levels[0] == 1, name
+        assert all(after <= before + 1 for before, after in pairwise(levels)), (name, levels)
+
+
+def test_pages_fit_a_phone_and_have_contrast(site):
+    """In Chromium: on no page does anything stick out at 360 px, and text stands out in light and
+    in dark, on a page of each kind.
+    """
+    wide, faint = [], []
+    with headless_chromium() as browser:
+        tab = browser.new_page(viewport=NARROW)
+        for path in sorted(site.rglob("*.html")):
+            tab.goto(path.as_uri())
+            wide += [f"{path.name}: {element}" for element in tab.evaluate(STICKS_OUT)]
+            if tab.evaluate("document.documentElement.scrollWidth") > NARROW["width"]:
+                wide.append(path.name)
+        tab.add_style_tag(content="article p { min-width: 500px }")
+        assert tab.evaluate(STICKS_OUT)  # the check sees a planted one
+        for scheme in ("light", "dark"):
+            tab = browser.new_page(viewport=NARROW, color_scheme=scheme)
+            for name in KINDS:
+                tab.goto((site / f"{name}.html").as_uri())
+                faint += [f"{name} ({scheme}): {text}" for text in tab.evaluate(CONTRAST)]
+        tab.set_viewport_size(WIDE)
+        tab.goto((site / "search.html").as_uri() + "?q=ground+effect")
+        tab.wait_for_selector("ul.search li")
+        tab.set_content('<p style="color: #999; background: #fff">faint</p>')
+        assert len(tab.evaluate(CONTRAST)) == 1  # the check sees 2.8
+    assert wide == [] and faint == []
