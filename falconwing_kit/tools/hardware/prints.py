@@ -97,10 +97,10 @@ def marker_poster(marker: Marker | None = None) -> Poster:
     return Poster(
         "marker", side, side, ((np.array(boxes), BLACK),),
         (
-            f"ArUco marker {marker.dictionary}, id {marker.id}: black square {size} wide.",
+            f"ArUco marker {marker.dictionary}, id {marker.id}, black square {size}.",
             f"The white border of {cell:.1f} mm belongs to it: the board is {side:.0f} mm square.",
-            "Glue it on something flat and stiff; matt paper, no lamination, no folds. Pages without"
-            " black can be left out where the board itself is white.",
+            "Glue it on something flat and stiff; matt paper, no lamination, no folds.",
+            "Pages with no black can be left out where the board itself is white.",
         ),
     )  # fmt: skip
 
