@@ -184,6 +184,25 @@ def judge(paper: float, kit: float, low: float, high: float) -> Verdict:
     return "same" if low <= paper <= high else "differs"
 
 
+def judge_rate(paper: float, paper_trials: int | None, found: Record) -> Verdict:
+    """The same for a success rate; where the paper has its number of trials too, "differs" is a
+    two-sided p below 0.05 of Fisher's exact test of the two counts [Fisher 1922].
+
+    Args:
+        paper: rate, 0..1.
+        paper_trials: its number, None if not stated.
+        found: of `summarise_cell`.
+    """
+    from scipy.stats import fisher_exact
+
+    if paper_trials is None:
+        rate = found["success"]
+        return judge(paper, rate["rate"], rate["low95"], rate["high95"])
+    theirs, ours = round(paper * paper_trials), found["successes"]
+    table = [[theirs, paper_trials - theirs], [ours, found["trials"] - ours]]
+    return "same" if fisher_exact(table).pvalue >= 0.05 else "differs"
+
+
 def _missing(
     quantity: str, paper: str, where: str, why: str, command: str = "", kit: str = ""
 ) -> Row:
@@ -414,8 +433,8 @@ def _draw_pose_errors(errors: dict[str, Array], path: Path) -> None:
             colours = (PREDICTED, ACCENT, QUIET)
             for (name, values), colour in zip(errors.items(), colours, strict=True):
                 x = values[:, column]
-                ax.hist(np.minimum(x, most), np.linspace(0.0, most, 33), color=colour, alpha=0.45,
-                        label=name)  # fmt: skip
+                bins = np.linspace(0.0, most, 33)
+                ax.hist(np.minimum(x, most), bins, color=colour, histtype="step", label=name)
                 ax.axvline(x.mean(), color=colour, linewidth=1.4)
             ax.axvline(paper, color=MEASURED, linestyle="--", label="the paper's mean")
             ax.set(xlabel=f"{label}, beyond {most:g} in the last bar", ylabel="images")
@@ -508,11 +527,11 @@ def _flight_rows(
     """
     figure = PAPER[task, scenario, pilot]
     name = pilot if not stand_in else f"{pilot} (the kit's: {stand_in})"
-    head = f"{scenario}, {name}: "
+    head = f"{'simulated' if task == 'landing' else scenario}, {name}: "
     other = f"another pilot than the paper's {pilot}; " if stand_in else ""
     rate, n = found["success"], str(found["trials"])
     of = f" of {figure.trials}" if figure.trials else ""
-    success = judge(figure.successes, rate["rate"], rate["low95"], rate["high95"])
+    success = judge_rate(figure.successes, figure.trials, found)
     rows = [
         Row(head + "success", _per_cent(figure.successes) + of, where, _per_cent(rate["rate"]),
             f"{_per_cent(rate['low95'])} to {_per_cent(rate['high95'])}", n, success,
@@ -572,7 +591,7 @@ def table_one(job: Job) -> Part:
     draw_paths(paths, path, pad=False)
     caption = (
         "SIMULATED: paths of the follower from above, by what the leader flies; the paper's"
-        f" Figure 6 shows three of them ({TRAINING.replace('_', ' ')} are the training's)."
+        f" Figure 5 shows three of them ({TRAINING.replace('_', ' ')} are the training's)."
     )
     figures = (Figure(path.name, "paths of followers from above", caption),) if paths else ()
     return Part(tuple(rows), figures)
@@ -584,7 +603,7 @@ def robustness(job: Job) -> Part:
 
     pilots = [name for name in ("rgb_mask", "expert") if name in PILOTS]
     pilots = [name for name in pilots if "follow" in PILOTS[name].tasks]
-    where, rows, summaries = "Section V, Figure 8", list[Row](), dict[Cell, Record]()
+    where, rows, summaries = "Section V, Figure 6", list[Row](), dict[Cell, Record]()
     if "rgb_mask" not in pilots:
         rows += [
             _missing(f"rgb_mask, leader's {group}", words, where,
