@@ -52,6 +52,7 @@ VIEWS = {
     "flown": "flights by random waypoints, ten of each",
     "anywhere": "places anywhere in the hall, rolled by 25 deg and more, as in the training",
 }
+WORLD_TITLES = {"paper": "the paper's starts", "reality": "flown by JSBSim", "curved": "from aside"}
 BY_IMAGES = ("rgb", "student", "pose")  # pilots that stand in the rows of the paper's RGB
 FLIGHT = "case02_calm.csv"  # identified; shipped
 ANOTHER = "another hall, aircraft model and pilot than the paper's"
@@ -438,7 +439,7 @@ def _draw_pose_errors(errors: dict[str, Array], path: Path) -> None:
                 ax.axvline(x.mean(), color=colour, linewidth=1.4)
             ax.axvline(paper, color=MEASURED, linestyle="--", label="the paper's mean")
             ax.set(xlabel=f"{label}, beyond {most:g} in the last bar", ylabel="images")
-        axes[0, 0].legend()
+        axes[0, 1].legend(loc="upper center")
         axes[0, 0].set_title("SIMULATED")
 
 
@@ -751,18 +752,16 @@ def draw_paths(cells: dict[Cell, list[Record]], path: Path, pad: bool) -> None:
 
     if not cells:
         return
-    where, n = LandingPad(), len(cells)
-    columns = min(n, 3)
-    blocks = -(-n // columns)
-    with figure(path, blocks * (2 if pad else 1), columns, (3.4 * columns, 2.3 * blocks * (1.6 if pad else 1.3))) as axes:  # noqa: E501  # fmt: skip
-        for ax in axes.flat[n * 2 if pad and blocks == 1 else len(axes.flat) :]:
+    where, columns, views = LandingPad(), min(len(cells), 3), 2 if pad else 1
+    blocks = -(-len(cells) // columns)
+    size = (3.4 * columns, (3.7 if pad else 3.0) * blocks)
+    with figure(path, blocks * views, columns, size) as axes:
+        for ax in axes.flat:
             ax.set_visible(False)
         for k, (cell, records) in enumerate(cells.items()):
-            row, column = divmod(k, columns)
-            above = axes[row * (2 if pad else 1), column]
-            views = [(above, 1, "y [m]")]
-            views += [(axes[row * 2 + 1, column], 2, "height [m]")] if pad else []
-            for ax, axis, label in views:
+            for axis in range(1, views + 1):  # y, and for landings z
+                ax = axes[k // columns * views + axis - 1, k % columns]
+                ax.set_visible(True)
                 for record in records:
                     p = np.array(record["path_m"], np.float64).reshape(-1, 3)
                     colour = PREDICTED if record["success"] else ACCENT
@@ -773,11 +772,10 @@ def draw_paths(cells: dict[Cell, list[Record]], path: Path, pad: bool) -> None:
                     low = where.y_centre - 0.5 * where.width if axis == 1 else 0.0
                     high = where.width if axis == 1 else where.height
                     ax.add_patch(_rectangle(where.x_start, low, where.length, high))
-                ax.set(xlabel="x along the runway [m]", ylabel=label)
-            above.set_title(f"{cell.pilot}, {cell.world.name.replace('_', ' ')}")
-        for ax in axes.flat:
-            if not ax.has_data():
-                ax.set_visible(False)
+                ax.set(xlabel="x along the runway [m]", ylabel=("y [m]", "height [m]")[axis - 1])
+                if axis == 1:
+                    name = WORLD_TITLES.get(cell.world.name, cell.world.name.replace("_", " "))
+                    ax.set_title(f"{cell.pilot}, {name}")
 
 
 def _rectangle(x: float, y: float, width: float, height: float) -> Any:
