@@ -57,13 +57,20 @@ class MissingDeviceError(Exception):
 
 
 def walk(
-    checklist: Checklist, devices: ChecklistDevices, out: Path | None = None, as_json: bool = False
+    checklist: Checklist,
+    devices: ChecklistDevices,
+    out: Path | None = None,
+    as_json: bool = False,
+    asks_print: bool = False,
+    print_mm: float | None = None,
 ) -> int:
     """Work through a checklist: at a terminal ask for every step, else run the automatic ones.
 
     Args:
         out: folder for a dated record; None writes none.
         as_json: print the outcomes as JSON instead of tables.
+        asks_print: ask for the check line of the builder's own prints too.
+        print_mm: its measured length [mm]; None asks for it at a terminal.
 
     Returns:
         1 if a step failed or the checklist ended early, else 0.
@@ -87,11 +94,16 @@ def walk(
             print(f"    so: {step.if_not}", file=sys.stderr)
             if step.stop:
                 break
+    stopped = outcomes[-1].result == "NO" and checklist.steps[len(outcomes) - 1].stop
+    printed = None
+    if asks_print and (print_mm is not None or not stopped):
+        printed = _check_print(print_mm, asked)
     done = {outcome.id for outcome in outcomes}
     outcomes += [
         StepOutcome(step.id, "not done", "", "") for step in checklist.steps if step.id not in done
     ]
     failed = any(o.result == "NO" or (asked and o.result == "not done") for o in outcomes)
+    failed |= printed is not None and printed.result == "NO"
     record = {
         "list": checklist.title,
         "date": start.isoformat(timespec="seconds"),
@@ -100,6 +112,8 @@ def walk(
     record |= _radio(devices.port)
     record |= {"complete": all(o.result == "yes" for o in outcomes), "failed": failed}
     record |= {"steps": [asdict(outcome) for outcome in outcomes]}
+    if printed is not None:
+        record["print_check"] = asdict(printed)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         with atomic_write(out / f"checklist_{start:%Y%m%d_%H%M%S}.json", text=True) as file:
@@ -107,8 +121,38 @@ def walk(
     if as_json:
         print_json(record)
     else:
-        _show(checklist, outcomes, asked, failed)
+        _show(checklist, outcomes, asked, failed, printed)
     return int(failed)
+
+
+def _check_print(length_mm: float | None, asked: bool) -> StepOutcome | None:
+    """The scale of the builder's own prints by the length of a check line; None without one.
+
+    Raises:
+        InputError: the length given by an option is none.
+    """
+    from falconwing_kit.tools.hardware.prints import CHECK_MM, print_scale_fault
+
+    question = f"\n    print check length measured [mm of {CHECK_MM:g}; Enter without a print] "
+    while length_mm is None and asked:
+        print(question, end="", file=sys.stderr, flush=True)
+        line = sys.stdin.readline()
+        if not line.strip():
+            return None
+        try:
+            length_mm = float(line.strip().removesuffix("mm").replace(",", "."))
+            print_scale_fault(length_mm)
+        except ValueError as error:  # InputError is one
+            print(f"    expected a length in millimetres such as 99.8: {error}", file=sys.stderr)
+            length_mm = None
+    if length_mm is None:
+        return None
+    fault = print_scale_fault(length_mm)
+    if fault:
+        print(f"    NO: {fault}", file=sys.stderr)
+    return StepOutcome(
+        "print_scale", "NO" if fault else "yes", "person", f"{length_mm:g} of {CHECK_MM:g} mm"
+    )
 
 
 def _radio(port: str) -> dict[str, str]:
@@ -125,15 +169,24 @@ def _radio(port: str) -> dict[str, str]:
     return {"radio": calibration.radio, "calibration": calibration_digest(calibration)}
 
 
-def _show(checklist: Checklist, outcomes: list[StepOutcome], asked: bool, failed: bool) -> None:
+def _show(
+    checklist: Checklist,
+    outcomes: list[StepOutcome],
+    asked: bool,
+    failed: bool,
+    printed: StepOutcome | None,
+) -> None:
+    rows = [*outcomes, *([] if printed is None else [printed])]
     print_table(
-        ("step", "result", "by", "measured"), [(o.id, o.result, o.by, o.seen) for o in outcomes]
+        ("step", "result", "by", "measured"), [(o.id, o.result, o.by, o.seen) for o in rows]
     )
     bad = next(
         (step for step, o in zip(checklist.steps, outcomes, strict=True) if o.result == "NO"), None
     )
     if bad is not None:
         next_line(bad.if_not)
+    elif printed is not None and printed.result == "NO":
+        next_line("print again at 100 % (actual size, no fit to page), and measure again")
     elif not asked:
         next_line("run this at a terminal, which then asks for every step")
     else:

@@ -63,6 +63,10 @@ class Doctor:
     """serial port of the board for automatic checklist steps; sim is a SIMULATED one"""
     camera: str = ""
     """camera for automatic checklist steps: number, path or video file; sim is SIMULATED"""
+    print_mm: float | None = None
+    """measured length of a check line of 100 mm on a page of falconwing print; with --bench, which
+    asks for it at a terminal
+    """
     out: Path | None = None
     """folder for the dated record of the checklist"""
 
@@ -77,6 +81,8 @@ class Doctor:
         """
         if self.bench or self.preflight:
             return self._walk()
+        if self.print_mm is not None:
+            raise InputError("--print-mm: expected --bench with it, got none; add --bench")
         if self.port or self.camera or self.out is not None:
             raise InputError(
                 "--port, --camera, --out: expected --bench or --preflight with them, got neither; "
@@ -115,8 +121,12 @@ class Doctor:
                 "--bench, --preflight: expected one of them, got both; start with the bench test"
             )
         lists = load_checklists()
-        chosen = lists.bench if self.bench else lists.preflight
-        return walk(chosen, ChecklistDevices(self.port, self.camera), self.out, self.json)
+        devices = ChecklistDevices(self.port, self.camera)
+        if self.bench:
+            return walk(lists.bench, devices, self.out, self.json, True, self.print_mm)
+        if self.print_mm is not None:
+            raise InputError("--print-mm: expected --bench with it, got --preflight; leave it out")
+        return walk(lists.preflight, devices, self.out, self.json)
 
 
 def examine(check: SystemCheck) -> SystemCheckResult:

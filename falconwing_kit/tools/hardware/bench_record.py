@@ -96,6 +96,9 @@ def _fault(
         result = results.get(step.id, "not done")
         if result != "yes":
             return f"expected yes at every step, got {result!r} at step {step.id}: {step.do}"
+    printed = record.get("print_check")
+    if isinstance(printed, dict) and printed.get("result") != "yes":
+        return f"expected prints at true size, got a check line of {printed.get('seen')}"
     if record.get("calibration") != calibration_digest(calibration):
         return "expected it after the last falconwing calibrate, got another calibration"
     age = (today - datetime.fromisoformat(record["date"]).date()).days

@@ -191,3 +191,52 @@ def test_options_that_do_not_go_together_are_wrong_use(words, text, capsys):
     """Exit code 2 and a sentence."""
     assert main(["doctor", *words]) == 2
     assert text in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("typed_length", "code", "result"),
+    [("99.8", 0, "yes"), ("100 mm", 0, "yes"), ("99,7", 0, "yes"), ("99.0", 1, "NO"),
+     ("103", 1, "NO"), ("wide\n-3\n99.9", 0, "yes")],
+)  # fmt: skip
+def test_a_print_of_wrong_scale_fails_the_bench_test(
+    monkeypatch, capsys, typed_length, code, result
+):
+    """Half a millimetre of 100 by hand: 99.0 is a scale error of -1.0 %, said in one sentence; what
+    is no length is asked again.
+    """
+    typed(monkeypatch, f"y\n{typed_length}\n")
+    assert walk(listed("one"), ChecklistDevices(), as_json=True, asks_print=True) == code
+    printed = capsys.readouterr()
+    check = json.loads(printed.out)["print_check"]
+    assert check["result"] == result and check["seen"].endswith("of 100 mm")
+    said = [line for line in printed.err.splitlines() if "scale error" in line]
+    assert len(said) == code and all("print again at 100 %" in line for line in said)
+
+
+@pytest.mark.parametrize("answers", ["y\n\n", "y\n"])
+def test_without_a_print_nothing_is_required(monkeypatch, capsys, answers):
+    """Enter, or the end of the input: a marker of another source needs no check line."""
+    typed(monkeypatch, answers)
+    assert walk(listed("one"), ChecklistDevices(), as_json=True, asks_print=True) == 0
+    assert "print_check" not in json.loads(capsys.readouterr().out)
+
+
+def test_a_print_is_not_asked_for_after_a_stop(monkeypatch, capsys):
+    """With the propeller on, nothing else is asked."""
+    typed(monkeypatch, "n\n99.9\n")
+    walk(listed("one", stop=True), ChecklistDevices(), asks_print=True)
+    assert "check length" not in capsys.readouterr().err
+
+
+def test_print_length_by_an_option(tmp_path, capsys):
+    """Without a terminal the length comes by --print-mm, and is recorded; elsewhere it is wrong."""
+    assert main(["doctor", "--bench", "--print-mm", "99.0", "--json", "--out", str(tmp_path)]) == 1
+    (file,) = tmp_path.glob("checklist_*.json")
+    record = json.loads(file.read_text())
+    assert record["print_check"] == {
+        "id": "print_scale", "result": "NO", "by": "person", "seen": "99 of 100 mm"
+    }  # fmt: skip
+    assert record["failed"] and "scale error of -1.0 %" in capsys.readouterr().err
+    assert main(["doctor", "--print-mm", "99.0"]) == 2
+    assert main(["doctor", "--preflight", "--print-mm", "99.0"]) == 2
+    assert main(["doctor", "--bench", "--print-mm", "nan"]) == 2

@@ -237,6 +237,7 @@ LONG_AGO = (date.today() - timedelta(days=181)).isoformat()
         (None, {"date": f"{LONG_AGO}T10:00:00"}, "181 days old"),
         (None, {"date": "soon"}, "expected a record of falconwing doctor"),
         (None, {"list": "Before each flight"}, "found none"),
+        (None, {"print_check": {"result": "NO", "seen": "99 of 100 mm"}}, "of 99 of 100 mm"),
     ],
 )
 def test_a_missing_step_is_named(tmp_path, change, more, sentence):
