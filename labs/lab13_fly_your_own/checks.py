@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from given import FLOOR_Z, IMAGE_EVERY, PAD, SOFT_SINK, WORTH_M, run_fly
+from given import FLOOR_Z, IMAGE_EVERY, PAD, SOFT_SINK, WORTH_M
 
 from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_close
 
@@ -58,14 +58,9 @@ def _beyond(sticks: Function) -> bool:
 
 
 def _flown(fly: Function, lost: tuple[int, ...] = (), steps: int = 7, floor: float = -9.0) -> dict:
-    start, gains = np.linspace(0.1, 0.9, 9), np.zeros((4, 18))
-    gains[:, :9], gains[:, 9:] = 0.3, 0.2
-    return dict(_run(fly, start, gains, np.array(lost, float), float(steps), floor))
-
-
-def _run(fly: Function, *arguments: object) -> dict:
-    """In a notebook `fly` itself comes in; a grader's goes through `run_fly` already."""
-    return dict(fly(*arguments))
+    """A flight in the small world of `given.run_fly`, through which `fly` is called."""
+    gains = np.concatenate([np.full((4, 9), 0.3), np.full((4, 9), 0.2)], axis=1)
+    return dict(fly(np.linspace(0.1, 0.9, 9), gains, np.array(lost, float), float(steps), floor))
 
 
 def _counts(fly: Function) -> bool:
@@ -139,9 +134,8 @@ def _on_the_line(score: Function) -> bool:
 
 
 def _off_the_line(score: Function) -> bool:
-    """By hand: WORTH_M off the line, to either side, is worth 1/e, if that is still on the pad."""
-    off = min(WORTH_M, 0.9)
-    expected = 100.0 * math.exp(-((off / WORTH_M) ** 2))
+    """By hand: half of WORTH_M off the line, to either side, leaves exp(-1/4) of the points."""
+    off, expected = 0.5 * WORTH_M, 100.0 * math.exp(-0.25)
     rows = [_two_rows(3.0, CENTRE_Y + side * off, 0.1, 0.5) for side in (-1.0, 1.0)]
     return all(is_close(score(row), (3.0, off, 0.1, expected)) for row in rows)
 
@@ -235,7 +229,7 @@ LAB = Lab(
                 Check(
                     "servos hold what arrived last, zero at the beginning",
                     _holds,
-                    "carry returns None where nothing arrives; the pilot's new command is lost then",
+                    "carry returns None where nothing arrives; the new command is lost then",
                 ),
                 Check(
                     "the aircraft moves by the servos before and now",
@@ -260,7 +254,7 @@ LAB = Lab(
                     "all of the state is interpolated with the same share, the sink rate too",
                 ),
                 Check(
-                    "off the line by WORTH_M is worth 1/e, left as right",
+                    "half of WORTH_M off the line is worth exp(-1/4), left as right",
                     _off_the_line,
                     "the centre line is half way between PAD's two y",
                 ),

@@ -1,7 +1,7 @@
 """Lab 13, given: your parts put together: camera, aircraft, pilots, board, gap, and the figures.
 
-The parts come in as `parts`, a package with a module for each lab: yours or the kit's. Only NumPy is
-imported at the top; the kit, torch and matplotlib where they are needed.
+The parts come in as `parts`, a package with a module for each lab: yours or the kit's. The kit and
+matplotlib are imported where they are needed.
 """
 
 import importlib
@@ -277,63 +277,38 @@ def load_flights() -> dict[str, Array]:
         return {name: file[name] for name in file.files}
 
 
-def train_policy(parts: Any, epochs: int = 60, seed: int = 0) -> Any:
-    """A network that looks: pictures and past banks -> bank, by your lab 8, in a few seconds."""
-    import torch
-
-    data, lab08 = load_flights(), lab_given(parts, "lab08")
-    history = parts.imitation.history_window(data["banks"], 2 * data["starts"], HISTORY)[::2]
-    arrays = parts.imitation.make_dataset(data["images"], history, data["labels"], False)
-    images, past, labels = (torch.tensor(np.asarray(each, np.float32)) for each in arrays)
-    network = lab08.new_network(history=HISTORY, seed=seed)
-    optimiser = torch.optim.Adam(network.parameters(), lr=2e-3)
-    shuffle = torch.Generator().manual_seed(seed)
-    for _ in range(epochs):
-        for batch in torch.randperm(len(labels), generator=shuffle).split(64):
-            parts.imitation.bc_loss_step(
-                network, optimiser, images[batch], past[batch], labels[batch]
-            )
-    return network
-
-
 class Pilot:
     """Your expert flies; your policy chooses the bank where it is near the expert's.
 
     Args:
         parts: yours or the kit's.
-        network: of `train_policy`; None for the expert alone.
+        policy: function of a picture (30, 40, 3) uint8 and the past banks (HISTORY,), the newest
+            first -> bank, in full banks; None for the expert alone.
 
     Attributes:
         banks: what was chosen at every step: the expert's bank and the policy's [rad].
         trusted: whether the policy's was flown.
     """
 
-    def __init__(self, parts: Any, network: Any = None) -> None:
-        self.expert, self._network = Expert(parts), network
-        self._past, self._seen, self._policy = np.zeros(HISTORY), None, math.nan
+    def __init__(self, parts: Any, policy: Callable[..., float] | None = None) -> None:
+        self.expert, self._ask = Expert(parts), policy
+        self._past, self._seen, self._policy = np.zeros(HISTORY), np.zeros(0), math.nan
         self.banks: list[tuple[float, float]] = []
         self.trusted: list[bool] = []
 
     def __call__(self, state: Array, image: Array | None) -> Array:
         """Throttle, aileron, elevator, rudder (4,) for a state (9,) and the newest picture."""
         own = self.expert.bank(state)
-        if self._network is not None and image is not None and image is not self._seen:
-            self._seen, self._policy = image, self._ask(image)
+        if self._ask is not None and image is not None and image is not self._seen:
+            self._seen, answer = image, float(self._ask(small(image), self._past))
+            known = math.isfinite(answer)
+            self._policy = POLICY_BANK * min(max(answer, -1.0), 1.0) if known else math.nan
         trusted = abs(self._policy - own) <= TRUST  # False where it is nan
         bank = self._policy if trusted else own
         self.banks.append((own, self._policy))
         self.trusted.append(bool(trusted))
         self._past = np.concatenate([[bank / POLICY_BANK], self._past[:-1]])
         return self.expert.command(state, bank)
-
-    def _ask(self, image: Array) -> float:
-        import torch
-
-        picture = (small(image).astype(np.float32).transpose(2, 0, 1) - 127.5) / 127.5
-        with torch.no_grad():
-            past = torch.tensor(self._past[None], dtype=torch.float32)
-            answer = float(self._network(torch.tensor(picture[None]), past)[0])
-        return POLICY_BANK * min(max(answer, -1.0), 1.0) if math.isfinite(answer) else math.nan
 
 
 # The wire and the board
@@ -599,7 +574,7 @@ def words_for(flown: Mapping[str, Any]) -> str:
 
 
 def entry_of(flown: Mapping[str, Any], points: float, parts: Any) -> str:
-    """An entry for the class's board, JSON: the commands, what you say they are worth, your parts."""
+    """An entry for the class's board, JSON: the commands, and what you say they are worth."""
     record = Path(parts.__file__).with_name("parts.json")
     functions = json.loads(record.read_text(encoding="utf-8"))["functions"]
     return json.dumps(

@@ -28,7 +28,7 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
         "merge_gaussians": (Values(_draw_merge, _merge, cases=8),),
         "sticks_from_slots": (Values(_draw_slots, _sticks, cases=8),),
         "fly": (Values(_draw_flight, _flight, cases=8),),
-        "landing_score": (Values(_draw_landing, score, cases=14),),
+        "landing_score": (Values(_draw_landing, score, cases=20),),
     }
 
 
@@ -108,7 +108,7 @@ def _flight(start: Any, gains: Any, lost: Any, steps: float, floor: float) -> di
 
 def _draw_landing(rng: np.random.Generator) -> tuple[Any, ...]:
     states = rng.normal(0.0, 0.1, (int(rng.integers(2, 6)), 9))
-    states[:, 0] += rng.uniform(PAD[0] + 1.0, PAD[1] - 1.0)
+    states[:, 0] += rng.uniform(PAD[0] - 2.5, PAD[1] + 2.5)
     states[:, 1] += rng.choice([-2.0, -2.0, -2.0, -3.6, 0.4]) + rng.uniform(-0.7, 0.7)
     states[:, 2] = FLOOR_Z + np.linspace(0.02 * len(states), 0.0, len(states))
     states[-1, 2] -= rng.choice([0.01, 0.015, -0.005], p=[0.45, 0.4, 0.15])

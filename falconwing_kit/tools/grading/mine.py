@@ -21,7 +21,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -119,11 +119,15 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class _Lab:
+class CheckedLab:
     """A lab as it enters the package.
 
-    `folder` is the student's, or the kit's if the student has none; `notebook` is None where there
-    is no usable one.
+    Attributes:
+        part, lab: its module, and the public part of the kit's lab.
+        folder: the student's, or the kit's if the student has none.
+        kit: the kit's folder of the lab.
+        notebook: the student's; None where there is no usable one.
+        why: the kit's functions, with the reason.
     """
 
     part: Part
@@ -131,10 +135,11 @@ class _Lab:
     folder: Path
     kit: Path
     notebook: Notebook | None
-    why: Mapping[str, str]  # of the functions that are the kit's
+    why: Mapping[str, str]
 
     @property
     def names(self) -> list[str]:
+        """Names of the lab's functions."""
         return [exercise.name for exercise in self.lab.exercises]
 
 
@@ -158,18 +163,39 @@ def collect_mine(labs: Path | None, out: Path, kit_labs: Path | None = None) -> 
         raise InputError(
             f"{out}: expected a new folder, or one that collect-mine wrote; choose another"
         )
-    own = {} if labs is None else {folder.name[:5]: folder for folder in lab_folders(labs)}
     kit = kit_labs or _kit_labs()
-    chosen = [_check_lab(part, own.get(part.lab), lab_folder(part.lab, kit)) for part in PARTS]
+    return write_package(check_labs(labs, kit), out, verify=labs is not None)
+
+
+def check_labs(labs: Path | None, kit_labs: Path) -> list[CheckedLab]:
+    """Run the public checks of all labs on the student's notebooks.
+
+    Args:
+        labs: folder with the student's labs; None for none.
+        kit_labs: the kit's labs, with solutions.
+    """
+    own = {} if labs is None else {folder.name[:5]: folder for folder in lab_folders(labs)}
+    return [_check_lab(part, own.get(part.lab), lab_folder(part.lab, kit_labs)) for part in PARTS]
+
+
+def write_package(labs: Sequence[CheckedLab], out: Path, *, verify: bool = True) -> list[Choice]:
+    """Write the package of checked labs, complete or not at all; see `collect_mine`.
+
+    Args:
+        labs: each with the reasons for the kit's functions.
+        out: the package's folder, which is replaced.
+        verify: load every module that holds code of the student once, in a process of its own.
+    """
+    chosen = list(labs)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as temporary:
         package = Path(temporary) / out.name
         package.mkdir()
         for number, one in enumerate(chosen):
             _write_part(package, one)
-            if labs is not None and len(one.why) < len(one.names) and not _loads(package, one):
+            if verify and len(one.why) < len(one.names) and not _loads(package, one):
                 lost = {name: one.why.get(name, "its module does not load") for name in one.names}
-                chosen[number] = _Lab(one.part, one.lab, one.folder, one.kit, None, lost)
+                chosen[number] = replace(one, notebook=None, why=lost)
                 _write_part(package, chosen[number])
         choices = [
             Choice(one.part.module, one.part.lab, name, name not in one.why, one.why.get(name, ""))
@@ -245,21 +271,21 @@ def _kit_labs() -> Path:
     return labs_folder(shipped_path("labs/README.md", "give the labs by --labs").parent)
 
 
-def _check_lab(part: Part, own: Path | None, kit: Path) -> _Lab:
+def _check_lab(part: Part, own: Path | None, kit: Path) -> CheckedLab:
     """Run a lab's public checks on the student's notebook."""
     lab = load_checks(kit)
     names = [exercise.name for exercise in lab.exercises]
     if own is None:
-        return _Lab(part, lab, kit, kit, None, dict.fromkeys(names, "no folder of this lab"))
+        return CheckedLab(part, lab, kit, kit, None, dict.fromkeys(names, "no folder of this lab"))
     path = notebook_path(own)
     try:
         notebook = read_notebook(path)
         collect_sources(notebook, names, lab.packages)  # refuses code that takes too long to read
         reports = {report.name: report for report in check_notebook(own, path)}
     except FileNotFoundError:
-        return _Lab(part, lab, own, kit, None, dict.fromkeys(names, "no notebook"))
+        return CheckedLab(part, lab, own, kit, None, dict.fromkeys(names, "no notebook"))
     except InputError as error:
-        return _Lab(part, lab, own, kit, None, dict.fromkeys(names, str(error)))
+        return CheckedLab(part, lab, own, kit, None, dict.fromkeys(names, str(error)))
     why = {}
     for name in names:
         if name not in reports:
@@ -267,10 +293,10 @@ def _check_lab(part: Part, own: Path | None, kit: Path) -> _Lab:
         elif (state := exercise_state(reports[name].outcomes)) != "passed":
             claims = [each.claim for each in reports[name].outcomes if each.state == "failed"]
             why[name] = f"failed: {claims[0]}" if claims else state
-    return _Lab(part, lab, own, kit, notebook, why)
+    return CheckedLab(part, lab, own, kit, notebook, why)
 
 
-def _write_part(package: Path, one: _Lab) -> None:
+def _write_part(package: Path, one: CheckedLab) -> None:
     """Write one module, the kit's part of it, and its given code."""
     module, mine = one.part.module, [name for name in one.names if name not in one.why]
     text = "" if one.notebook is None or not mine else _own_text(one, mine)
@@ -306,7 +332,7 @@ def _write_part(package: Path, one: _Lab) -> None:
     (package / f"{module}.py").write_text("\n".join(lines), encoding="utf-8")
 
 
-def _own_text(one: _Lab, mine: Sequence[str]) -> str:
+def _own_text(one: CheckedLab, mine: Sequence[str]) -> str:
     """The student's functions with what they need, or nothing if they cannot be read."""
     assert one.notebook is not None
     notebook = one.notebook
@@ -388,7 +414,7 @@ class _Given(ast.NodeTransformer):
         return ast.ImportFrom(f"{self.package.lstrip('.')}.{self.lab}", node.names, level)
 
 
-def _loads(package: Path, one: _Lab) -> bool:
+def _loads(package: Path, one: CheckedLab) -> bool:
     """Whether a module loads, in a process with the limits of `check`."""
     job = SandboxJob(
         text=_LOAD.format(place=str(package.parent.resolve()), package=package.name),
