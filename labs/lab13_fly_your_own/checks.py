@@ -280,7 +280,9 @@ LAB = Lab(
         Criterion("film", 5.0, "the film shows the flight to the pad; pictures, track and banks"),
         Criterion("film_reading", 7.0, "the policy leaves in the turn; 3 % lost, without effect"),
         Criterion("gap", 3.0, "one bar far above the threshold"),
-        Criterion("q1", 5.0, "names what is hidden, with its size; similar effects explain a part"),
+        Criterion(
+            "q1", 5.0, "names what is hidden, with its size; the others only have their price"
+        ),
         Criterion("q2", 5.0, "open loop drifts off; close it by picture and pose"),
     ),
     constants={

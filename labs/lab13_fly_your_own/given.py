@@ -602,3 +602,55 @@ def fly_entry(entry: str, score: Callable[[Array], tuple[float, ...]]) -> float:
         if state[2] <= FLOOR_Z:
             break
     return float(score(np.array(states))[3])
+
+
+def second_opinions(parts: Any, flown: Mapping[str, Any]) -> list[str]:
+    """What your other labs say about a flight, a line each: labs 1, 2 and 6, 5, 10, 11."""
+    states, K = np.asarray(flown["states"]), lab_given(parts, "lab06").K
+    v_min = float(parts.sizing.min_speed(150.0, 20.0))
+    _, needed, radius = parts.sizing.level_turn(v_min, math.degrees(BANK_LIMIT))
+    lines = [
+        f"lab 1: the paper's wing needs {v_min:.1f} m/s straight, {float(needed):.1f} m/s in this "
+        f"turn, on a radius of {float(radius):.1f} m",
+    ]
+    side, height = lab_given(parts, "lab06").MARKER_SIZE / 2.0, 0.75
+    corners = [[0.0, y, height + z] for y, z in _square(side)]  # world: y to the left
+    lens = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2] + 0.5, "cy": K[1, 2] + 0.5, "k1": 0.0}
+    R_map_world = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rng, misses = np.random.default_rng(6), []
+    for state in states[::4]:
+        T = camera_pose(parts, state)
+        T_map_camera = np.eye(4)
+        T_map_camera[:3] = R_map_world @ T[:3]
+        p_camera = parts.camera.map_to_camera(np.array(corners) @ R_map_world.T, T_map_camera)
+        pixels = parts.camera.project_points(p_camera, lens)
+        if not np.isfinite(pixels).all() or (np.abs(pixels - K[:2, 2]) > K[:2, 2]).any():
+            continue  # the marker is not wholly in the picture
+        found = parts.poses.marker_pose(pixels + rng.normal(0.0, 0.3, (4, 2)), K, 2.0 * side)
+        p_world = (lab_given(parts, "lab06").T_WORLD_MARKER @ found)[:3, 3]
+        misses.append(float(np.linalg.norm(p_world - T[:3, 3])))
+    if misses:
+        lines.append(
+            f"labs 2 and 6: the marker is in {len(misses)} pictures of a 640 x 480 camera; "
+            f"the last one places the camera to {100.0 * misses[-1]:.0f} cm"
+        )
+    t = STEP_S * np.arange(len(states))
+    noisy = states[:, 0] + np.random.default_rng(5).normal(0.0, 0.03, len(t))
+    slope = np.asarray(parts.identification.local_slope(t, noisy, 4)[0])
+    miss = float(np.sqrt(np.nanmean((slope - states[:, 6]) ** 2)))
+    lines.append(f"lab 5: speed along x from positions of 3 cm noise: {miss:.2f} m/s rms off")
+    if flown["frames"] and flown["frames"][0] is not None:
+        grey = np.asarray(flown["frames"]).mean(axis=3).astype(np.uint8)
+        ssim, alarm = parts.bridge.ssim_monitor(grey, 0.2, 3)
+        lines.append(
+            f"lab 10: lowest SSIM of two pictures {float(np.min(ssim)):.2f}, "
+            f"{int(np.count_nonzero(alarm))} alarms"
+        )
+    low, high = parts.landings.success_interval(1, 1, 0.95)
+    lines.append(f"lab 11: one landing of one shows a success rate of {low:.2f} to {high:.2f}")
+    return lines
+
+
+def _square(half: float) -> list[tuple[float, float]]:
+    """Corners as an approaching camera sees them, from the top left on: y to the left, z up."""
+    return [(half, half), (-half, half), (-half, -half), (half, -half)]

@@ -1,6 +1,7 @@
 """Lab 13 flies with any parts: all of the student's, none, or any mixture with the kit's."""
 
 import sys
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -38,16 +39,24 @@ def mixture(folder, seed):
     return load_parts(folder), choices
 
 
-@pytest.fixture
-def given():
-    """Lab 13's given code, importable under its name."""
-    module = load_module(FOLDER, "given")
+@contextmanager
+def given_importable(module):
+    """Lab 13's given code under the name that the notebook's functions import."""
     before = sys.modules.get("given")
     sys.modules["given"] = module
-    yield module
-    sys.modules.pop("given")
-    if before is not None:
-        sys.modules["given"] = before
+    try:
+        yield module
+    finally:
+        sys.modules.pop("given")
+        if before is not None:
+            sys.modules["given"] = before
+
+
+@pytest.fixture
+def given():
+    """Lab 13's given code."""
+    with given_importable(load_module(FOLDER, "given")) as module:
+        yield module
 
 
 def written():
