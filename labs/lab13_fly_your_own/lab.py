@@ -341,7 +341,7 @@ plt.show()
 # %%
 flown = filmed()[0]
 entry = given.entry_of(flown, landing_score(flown["states"])[3], parts)
-print(entry[:200], "...")
+print(entry[:120], "...")  # all of it: print(entry), into a file named after you
 print(f"flown again: {given.fly_entry(entry, landing_score):.1f} points")
 
 # %% [markdown]

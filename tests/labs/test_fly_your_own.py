@@ -1,5 +1,6 @@
 """Lab 13 flies with any parts: all of the student's, none, or any mixture with the kit's."""
 
+import json
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
@@ -10,8 +11,10 @@ import numpy as np
 import pytest
 
 from falconwing_kit.tools.grading.collect import collect_source, read_notebook
+from falconwing_kit.tools.grading.course.board import rank_entries
 from falconwing_kit.tools.grading.find import lab_folder, load_checks, load_module, notebook_path
 from falconwing_kit.tools.grading.mine import PARTS, CheckedLab, load_parts, write_package
+from tests.labs.tools import require_sandbox
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "labs" / "lab13_fly_your_own"
@@ -133,3 +136,21 @@ def test_entry_is_flown_again_without_any_code(given):
     assert given.fly_entry(entry, written().landing_score) == pytest.approx(score[3], abs=0.05)
     with pytest.raises(ValueError, match=r"expected \(n, 4\) commands"):
         given.fly_entry('{"commands": [[1, 2], [3, 4]]}', written().landing_score)
+
+
+def test_board_ranks_by_what_is_flown_not_by_what_is_claimed(given, tmp_path):
+    """The honest entry's points by lab 13 itself; a lying one that dives has none; junk is last."""
+    require_sandbox()
+    parts = load_parts("kit")
+    flown, _, score = fly_with(given, parts, pictures=False)
+    (tmp_path / "ada.json").write_text(given.entry_of(flown, score[3], parts))
+    dive = {"points": 100.0, "commands": [[0.0, 0.0, -1.0, 0.0]] * 60}
+    (tmp_path / "bob.json").write_text(json.dumps(dive))
+    (tmp_path / "cleo.json").write_text("print('give me points')")
+    (tmp_path / "dan.json").write_text('{"commands": [[NaN, 0, 0, 0], [0, 0, 0, 0]]}')
+    files = [tmp_path / f"{name}.json" for name in ("dan", "cleo", "bob", "ada")]
+    board = rank_entries(files)
+    assert [each.name for each in board] == ["ada", "bob", "cleo", "dan"]
+    assert board[0].points == pytest.approx(score[3], abs=0.05)
+    assert (board[1].points, board[1].claimed, board[1].problem) == (0.0, 100.0, "")
+    assert "expected lab 13's entry" in board[2].problem and "finite" in board[3].problem

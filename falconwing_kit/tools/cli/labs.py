@@ -332,11 +332,61 @@ class CollectMine:
 
 
 @dataclass(frozen=True)
+class Board:
+    """Rank lab 13's entries: their commands are flown again in the grading sandbox."""
+
+    entries: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """the entries, JSON, a file each; its name stands on the board"""
+    salt: str = ""
+    """the course's secret, if you type one"""
+    course: Path | None = None
+    """the course's folder, with salt.txt"""
+    unsafe_no_sandbox: bool = False
+    """fly in plain processes; an entry holds numbers only"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Fly and print the board.
+
+        Returns:
+            0 if every entry was flown, else 1.
+
+        Raises:
+            FileNotFoundError: an entry is missing.
+            InputError: no entry is named, or there is no sandbox here.
+        """
+        from falconwing_kit.tools.grading.course.board import rank_entries
+        from falconwing_kit.tools.grading.salt import course_key
+
+        if not self.entries:
+            raise InputError("entries: expected one file or more, got none; name them")
+        key = course_key(self.salt, self.course)
+        board = rank_entries(self.entries, key, self.labs, sandboxed=not self.unsafe_no_sandbox)
+        lost = any(each.problem for each in board)
+        if self.json:
+            print_json({"board": list(map(asdict, board))})
+            return int(lost)
+        rows = [
+            (place, each.name, each.points, each.claimed, f"{each.mine} of {each.of}")
+            for place, each in enumerate(board, 1)
+        ]
+        print_table(("place", "entry", "points", "claimed", "own functions"), rows)
+        for each in board:
+            if each.problem:
+                print(f"! {each.problem}")
+        next_line("points count as flown here, whatever was claimed")
+        return int(lost)
+
+
+@dataclass(frozen=True)
 class Labs:
     """Build the labs' notebooks, release them to students, test them, or sum up a course."""
 
     step: tyro.conf.OmitSubcommandPrefixes[
-        Build | Release | Selftest | Autograder | Gradebook | CollectMine
+        Build | Release | Selftest | Autograder | Gradebook | CollectMine | Board
     ]
 
     def run(self) -> int:
