@@ -95,6 +95,7 @@ def thin_hall(parts):
     return {"means": means, "covs": merged, "opacities": opacities, "colours": colours}
 
 
+# %%
 look = given.new_look(parts, thin_hall(parts))
 print(f"{len(thin_hall(parts)['means'])} Gaussians")
 fig, ax = plt.subplots(figsize=(5, 3.8))

@@ -1,6 +1,6 @@
 """Writes data/flights.npz: pictures of flights of the kit's expert, for lab 13's policy.
 
-SIMULATED. Run from the kit's folder, with the solution's `merge_gaussians`, takes a minute:
+SIMULATED. Run from the kit's folder, with the solution's functions of lab.py; takes a minute:
 
     python labs/lab13_fly_your_own/make_data.py
 """
@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from falconwing_kit.tools.grading.collect import collect_source, read_notebook
-from falconwing_kit.tools.grading.mine import load_parts
+from falconwing_kit.tools.grading import load_parts
 
 FOLDER = Path(__file__).parent
 sys.path.insert(0, str(FOLDER))
@@ -22,10 +21,10 @@ FLIGHTS = 5
 
 def main() -> None:
     """Fly with noise on the bank, look at every second step, keep what the expert wanted."""
-    parts, space = load_parts("kit"), {"__name__": "lab"}
+    parts, space = load_parts("kit"), {"np": np, "given": given}
+    text = (FOLDER / "lab.py").read_text(encoding="utf-8")
     for name in ("merge_gaussians", "thin_hall"):
-        notebook = read_notebook(FOLDER / "solution" / "lab13.ipynb")
-        exec(collect_source(notebook, name).text, space)
+        exec(text[text.index(f"def {name}(") :].split("\n# %%")[0], space)
     look = given.new_look(parts, space["thin_hall"](parts))
     step, rng = given.new_plant(parts), np.random.default_rng(0)
     images, banks, labels, starts = [], [], [], []
