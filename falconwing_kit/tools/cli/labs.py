@@ -307,10 +307,15 @@ class CollectMine:
         Raises:
             InputError: there is no lab in the folder, or `out` holds something else.
         """
-        from falconwing_kit.tools.grading.find import labs_folder
+        from falconwing_kit.tools.grading.find import lab_folders, labs_folder
         from falconwing_kit.tools.grading.mine import PARTS, collect_mine
         from falconwing_kit.tools.grading.public_checks import to_printable
 
+        if self.folder is not None and not lab_folders(self.folder):
+            raise InputError(
+                f"{self.folder}: expected a folder with your labs, such as lab01_sizing in it, "
+                "found none; name the folder that holds them"
+            )
         choices = collect_mine(labs_folder(self.folder), self.out)
         if self.json:
             print_json({"out": str(self.out), "functions": list(map(asdict, choices))})

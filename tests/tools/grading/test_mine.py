@@ -155,6 +155,13 @@ def test_folder_of_something_else_is_refused(tmp_path):
     assert (tmp_path / "thesis" / "text.md").read_text() == "mine"
 
 
+def test_verb_says_which_folder_has_no_labs(tmp_path, capsys):
+    """Exit code 2, one sentence; nothing is written."""
+    assert main(["labs", "collect-mine", str(tmp_path), "--out", str(tmp_path / "mine")]) == 2
+    assert "expected a folder with your labs" in capsys.readouterr().err
+    assert not (tmp_path / "mine").exists()
+
+
 def test_verb_writes_a_package_that_imports_by_its_name(tmp_path, capsys, monkeypatch):
     """`import my_falconwing` from the folder; the table names the function that failed."""
     labs = student(
