@@ -128,6 +128,26 @@ def test_gap_workflow_names_what_was_hidden_or_none(given):
     assert given.name_the_gap(parts, calm, again)["word"] == "none"
 
 
+def test_hidden_effects_act_as_their_names_say(given):
+    """One step from level flight at 7 m/s, aileron half right: roll is V L_da a t, by lab 4.
+
+    With 30 % of the aileron lost it is 0.7 of that; adverse yaw turns the nose left, out of the
+    turn; drag and a weaker propeller take speed. 2 %: the sideslip that builds up in 0.05 s.
+    """
+    parts, state = load_parts("kit"), np.array([0.0, 0.0, 2.0, 0.09, 0.0, 0.0, 7.0, 0.0, 0.0])
+    command = np.array([0.5, 0.5, 0.0, 0.0])
+
+    def after(effect, size):
+        return given.new_plant(parts, effect, size)(state, command, command)
+
+    calm = after("none", 0.0)
+    assert calm[5] == pytest.approx(7.0 * 0.37 * 0.5 * 0.05, rel=0.02)
+    assert after("aileron_loss", 0.3)[5] == pytest.approx(0.7 * calm[5], rel=0.02)
+    assert after("adverse_yaw", 0.08)[4] < calm[4] - 0.01
+    assert after("extra_drag", 0.012)[6] == pytest.approx(calm[6] - 0.012 * 49.0 * 0.05, abs=2e-3)
+    assert after("thrust_loss", 0.25)[6] < calm[6] - 0.02
+
+
 def test_entry_is_flown_again_without_any_code(given):
     """The same numbers, rounded to 1e-6: the same points; claimed points do not matter."""
     parts = load_parts("kit")
