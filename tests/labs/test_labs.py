@@ -117,6 +117,7 @@ def test_given_imports_what_the_box_has(folder, lab):
         *lab.packages,
         "scipy",
         "matplotlib",
+        "PIL",  # comes with matplotlib
         "falconwing_kit",
     }
 

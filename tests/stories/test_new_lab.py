@@ -60,12 +60,12 @@ def test_copied_template_builds_checks_and_grades_as_the_page_says(tree):
         done = shell(line, tree)
         assert done.returncode == 0, (line, done.stdout, done.stderr)
         if "labs selftest" in line:
-            assert re.search(r"lab13_gliding +100\.0 % +0\.0 %", done.stdout), done.stdout
-    assert sorted(path.name for path in (tree / "labs").iterdir()) == ["_template", "lab13_gliding"]
+            assert re.search(r"lab14_gliding +100\.0 % +0\.0 %", done.stdout), done.stdout
+    assert sorted(path.name for path in (tree / "labs").iterdir()) == ["_template", "lab14_gliding"]
     assert not list(tree.rglob("*.old"))
     # the temporary tests, not those of this checkout
     done = shell(
-        f"PYTHONPATH=.:$PYTHONPATH {last} and {DEMANDS}".replace("-k lab13 and", "-k 'lab13 and")
+        f"PYTHONPATH=.:$PYTHONPATH {last} and {DEMANDS}".replace("-k lab14 and", "-k 'lab14 and")
         + "' -q",
         tree,
     )

@@ -1,4 +1,4 @@
-"""falconwing labs: build the labs' notebooks, release them to students, test them."""
+"""falconwing labs: build the labs' notebooks, release and test them, collect a student's parts."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -291,10 +291,114 @@ class Gradebook:
 
 
 @dataclass(frozen=True)
+class CollectMine:
+    """Build the package my_falconwing of the functions that you wrote.
+
+    A function that is missing or fails its public checks is the kit's; the table has the reason.
+    """
+
+    folder: Annotated[Path | None, tyro.conf.Positional] = None
+    """the folder with your labs; the current folder's, or the checkout's own, if not given"""
+    out: Path = Path("my_falconwing")
+    """the package's folder; an older one that this verb wrote is replaced"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Check the notebooks and write the package.
+
+        Returns:
+            0: it is written.
+
+        Raises:
+            InputError: there is no lab in the folder, or `out` holds something else.
+        """
+        from falconwing_kit.tools.grading.find import lab_folders, labs_folder
+        from falconwing_kit.tools.grading.mine import PARTS, collect_mine
+        from falconwing_kit.tools.grading.public_checks import to_printable
+
+        if self.folder is not None and not lab_folders(self.folder):
+            raise InputError(
+                f"{self.folder}: expected a folder with your labs, such as lab01_sizing in it, "
+                "found none; name the folder that holds them"
+            )
+        choices = collect_mine(labs_folder(self.folder), self.out)
+        if self.json:
+            print_json({"out": str(self.out), "functions": list(map(asdict, choices))})
+            return 0
+        rows = []
+        for part in PARTS:
+            ours = [each for each in choices if each.part == part.module]
+            mine = [each.function for each in ours if each.mine]
+            kit = [each.function for each in ours if not each.mine]
+            rows.append((part.module, part.lab, ", ".join(mine) or "-", ", ".join(kit) or "-"))
+        count = sum(each.mine for each in choices)
+        title = f"{self.out}: {count} of {len(choices)} functions are yours"
+        print_table(("part", "lab", "yours", "the kit's"), rows, title=title)
+        for each in choices:
+            if not each.mine and each.why not in ("not written", "no folder of this lab"):
+                print(to_printable(f"! {each.part}.{each.function}: {each.why}"))
+        next_line('open lab13_fly_your_own, and set PARTS = "mine" in its first cell')
+        return 0
+
+
+@dataclass(frozen=True)
+class Board:
+    """Rank lab 13's entries: their commands are flown again in the grading sandbox."""
+
+    entries: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """the entries, JSON, a file each; its name stands on the board"""
+    salt: str = ""
+    """the course's secret, if you type one"""
+    course: Path | None = None
+    """the course's folder, with salt.txt"""
+    unsafe_no_sandbox: bool = False
+    """fly in plain processes; an entry holds numbers only"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Fly and print the board.
+
+        Returns:
+            0 if every entry was flown, else 1.
+
+        Raises:
+            FileNotFoundError: an entry is missing.
+            InputError: no entry is named, or there is no sandbox here.
+        """
+        from falconwing_kit.tools.grading.course.board import rank_entries
+        from falconwing_kit.tools.grading.salt import course_key
+
+        if not self.entries:
+            raise InputError("entries: expected one file or more, got none; name them")
+        key = course_key(self.salt, self.course)
+        board = rank_entries(self.entries, key, self.labs, sandboxed=not self.unsafe_no_sandbox)
+        lost = any(each.problem for each in board)
+        if self.json:
+            print_json({"board": list(map(asdict, board))})
+            return int(lost)
+        rows = [
+            (place, each.name, each.points, each.claimed, f"{each.mine} of {each.of}")
+            for place, each in enumerate(board, 1)
+        ]
+        print_table(("place", "entry", "points", "claimed", "own functions"), rows)
+        for each in board:
+            if each.problem:
+                print(f"! {each.problem}")
+        next_line("points count as flown here, whatever was claimed")
+        return int(lost)
+
+
+@dataclass(frozen=True)
 class Labs:
     """Build the labs' notebooks, release them to students, test them, or sum up a course."""
 
-    step: tyro.conf.OmitSubcommandPrefixes[Build | Release | Selftest | Autograder | Gradebook]
+    step: tyro.conf.OmitSubcommandPrefixes[
+        Build | Release | Selftest | Autograder | Gradebook | CollectMine | Board
+    ]
 
     def run(self) -> int:
         """Run the chosen step."""

@@ -13,6 +13,7 @@ from falconwing_kit.tools.grading.lab import (
     is_close,
     is_same_answer,
 )
+from falconwing_kit.tools.grading.mine import load_parts
 from falconwing_kit.tools.grading.public_checks import check
 
 __all__ = [
@@ -28,4 +29,5 @@ __all__ = [
     "check",
     "is_close",
     "is_same_answer",
+    "load_parts",
 ]

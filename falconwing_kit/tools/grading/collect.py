@@ -265,6 +265,27 @@ def collect_source(notebook: Notebook, name: str, packages: Iterable[str] = ("nu
     return Source("\n".join(lines) + "\n", _first(problems))
 
 
+def written_statements(notebook: Notebook) -> Iterator[tuple[ast.stmt, str]]:
+    """Top-level statements of the code cells that are Python, each with its text as typed.
+
+    Comment lines directly above a statement belong to its text; `import a, b` is two statements.
+    """
+    for text in notebook.code:
+        try:
+            body = _parse(text).body
+        except (SyntaxError, ValueError, RecursionError, MemoryError):
+            continue
+        lines = text.split("\n")
+        for node in body:
+            decorators = getattr(node, "decorator_list", ())
+            first = min([node.lineno, *(each.lineno for each in decorators)]) - 1
+            while first and lines[first - 1].startswith("#") and "# %%" not in lines[first - 1]:
+                first -= 1
+            typed = "\n".join(lines[first : node.end_lineno])
+            for part in _split(node):
+                yield part, typed if part is node else ast.unparse(part)
+
+
 def _first(problems: Iterable[str]) -> tuple[str, ...]:
     return tuple(problem[:200] for problem in dict.fromkeys(problems))[:MAX_PROBLEMS]
 
