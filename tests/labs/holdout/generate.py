@@ -105,7 +105,7 @@ def edits(tree: ast.AST) -> Iterator[tuple[str, str, ast.AST, ast.AST]]:
                 targets = ast.Tuple([items[1], items[0], *items[2:]], ast.Store())
                 new = ast.Assign([targets], node.value, lineno=node.lineno)
                 yield "swapped components", f"{ast.unparse(targets)} in this order", node, new
-        if isinstance(node, ast.AugAssign | ast.Assign | ast.If | ast.For):
+        if isinstance(node, ast.AugAssign | ast.Assign | ast.If | ast.For):  # noqa: SIM102
             if not (isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Tuple)):
                 first = ast.unparse(node).splitlines()[0]
                 yield "missing step", f"the step '{first}' left out", node, ast.Pass()
