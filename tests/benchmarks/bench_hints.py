@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1200)]
 SIGNS = {"sign of a term", "sign of a difference", "sign of a whole term", "swapped arguments"}
 FACTORS = {"missing factor", "constant", "missing term", "other function", "missing power"}
 FACTORS |= {"degrees for radians", "upside down", "no function"}
-NAMED_WRONG_LIMIT = 0.05
+NAMED_WRONG_LIMIT = 0.03
 
 
 class Probes:

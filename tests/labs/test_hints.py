@@ -9,6 +9,7 @@ from falconwing_kit.tools.grading.find import lab_folders
 from falconwing_kit.tools.grading.hints import Recorder, hints_text, load_hints
 from falconwing_kit.tools.grading.public_checks import check_notebook, report_lines, run_checks
 from falconwing_kit.tools.grading.release import release
+from tests.benchmarks.bench_hints import judge_lab
 from tests.labs.functions import ROOT, LabHere
 from tests.labs.holdout.generate import frozen
 
@@ -100,3 +101,12 @@ def test_the_frozen_list_is_as_the_issue_asks():
     kinds = [row["kind"] for row in frozen()]
     single = {"sign of a term", "comparison", "axis", "constant", "other function"}
     assert len(kinds) >= 500 and sum(kind in single for kind in kinds) <= len(kinds) / 2
+
+
+@pytest.mark.parametrize("lab", ["lab01", "lab04"])
+def test_few_wrong_causes_in_a_sample_of_the_frozen_list(lab):
+    """At most 3 % wrong, and some right; all labs are in tests/benchmarks/bench_hints.py."""
+    found = judge_lab(LABS[lab])
+    verdicts = [verdict for verdict, _, _ in found]
+    assert verdicts.count("wrong") <= 0.03 * len(found)
+    assert verdicts.count("right") >= 3
