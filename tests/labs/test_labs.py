@@ -157,7 +157,8 @@ def test_release_holds_no_solution_no_hidden_case_and_no_notes(folder, tmp_path)
         for path in files
         if folder.name in path.parts
     }
-    assert names <= {notebook_path(folder).name, "given.py", "checks.py", "cohort.json", "data"}
+    plain = {"given.py", "checks.py", "cohort.json", "hints.json", "data"}
+    assert names <= {notebook_path(folder).name, *plain}
     secret, shown = set(), set()
     for cell in read_cells(folder / "lab.py"):
         hidden = cell.text if cell.solution_only or cell.kind == "answer" else ""

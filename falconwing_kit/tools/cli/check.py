@@ -13,6 +13,7 @@ from falconwing_kit.tools.grading.public_checks import (
     ExerciseReport,
     check_notebook,
     exercise_state,
+    outcome_lines,
     to_printable,
 )
 
@@ -75,7 +76,7 @@ def _print_reports(folder: Path, reports: list[ExerciseReport], states: list[str
         failed = [outcome for outcome in report.outcomes if outcome.state == "failed"]
         for outcome in failed:
             print(to_printable(f"{SYMBOLS['failed']} {report.name}: {outcome.claim}"))
-            print(*(f"    {words}" for words in (outcome.said, outcome.hint) if words), sep="\n")
+            print(*(f"    {words}" for words in outcome_lines(outcome)), sep="\n")
         for problem in report.problems if state != "not written" else ():
             print(f"! {problem}")
     counts = f"{states.count('passed')} of {len(states)} exercises pass their public checks"

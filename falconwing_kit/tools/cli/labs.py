@@ -56,6 +56,47 @@ class Build:
 
 
 @dataclass(frozen=True)
+class Hints:
+    """Store what the listed mistakes of each lab return in its public checks, in hints.json.
+
+    In a checkout: the lists are in tests/labs/mutants. Exit code 0 if the files are written.
+    """
+
+    names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """labs, such as lab03; all if none is named"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+    json: bool = False
+    """print JSON instead of a table"""
+
+    def run(self) -> int:
+        """Write the files.
+
+        Returns:
+            0: they are written; a lab without a list gets none.
+
+        Raises:
+            InputError: there is no such lab, or its source cannot be used.
+        """
+        from falconwing_kit.core.files import atomic_write
+        from falconwing_kit.tools.grading.hints import FILE, hints_text
+
+        sizes = {}
+        for folder in select_labs(self.names, self.labs):
+            text = hints_text(folder)
+            sizes[folder.name] = len(text.encode())
+            if text:
+                with atomic_write(folder / FILE, text=True) as handle:
+                    handle.write(text)
+        if self.json:
+            print_json(sizes)
+            return 0
+        print_table(("lab", "bytes"), list(sizes.items()))
+        next_line("falconwing labs selftest")
+        return 0
+
+
+@dataclass(frozen=True)
 class Release:
     """Write the students' folder, without solutions, hidden cases and notes."""
 
@@ -397,7 +438,7 @@ class Labs:
     """Build the labs' notebooks, release them to students, test them, or sum up a course."""
 
     step: tyro.conf.OmitSubcommandPrefixes[
-        Build | Release | Selftest | Autograder | Gradebook | CollectMine | Board
+        Build | Hints | Release | Selftest | Autograder | Gradebook | CollectMine | Board
     ]
 
     def run(self) -> int:

@@ -330,6 +330,21 @@ def _statements(notebook: Notebook) -> tuple[tuple[_Statement, ...], tuple[str, 
     return tuple(statements), tuple(problems)
 
 
+def broken_cells(notebook: Notebook) -> list[tuple[str, str]]:
+    """The code cells that are not Python: their text, and one sentence with the line."""
+    found = []
+    for number, text in enumerate(notebook.code, 1):
+        try:
+            _parse(text)
+        except SyntaxError as error:
+            line = " ".join((error.text or "").split())[:80]
+            words = f"code cell {number} is not Python: line {error.lineno}, {error.msg}: {line}"
+            found.append((text, words))
+        except (ValueError, RecursionError, MemoryError):
+            found.append((text, f"code cell {number} is not Python that can be read"))
+    return found
+
+
 def _parse(text: str) -> ast.Module:
     """A cell's syntax tree, without IPython's own lines (`%matplotlib`, `!ls`, `name?`)."""
     try:

@@ -10,12 +10,13 @@ A check never stops the notebook and gives no points. The grading uses other, hi
 """
 
 import dis
+import re
 import sys
 import types
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,11 +26,13 @@ import numpy as np
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.collect import (
     Source,
+    broken_cells,
     collect_source,
     read_notebook,
     require_notebook_of,
 )
 from falconwing_kit.tools.grading.find import lab_folder, load_checks, load_module
+from falconwing_kit.tools.grading.hints import Hints, Numbers, call_key, load_hints, numbers_of
 from falconwing_kit.tools.grading.lab import Check, Exercise, Function, Lab
 from falconwing_kit.tools.grading.sandbox.host import (
     SandboxJob,
@@ -44,8 +47,8 @@ _CATEGORIES = {
     "timeout": "took too long",
     "memory": "took too much memory",
     "died": "ended Python",
-    "bad answer": "returned an unsupported type: expected numbers, texts, arrays, "
-    "or tuples, lists and dicts of them",
+    "bad answer": "returned an unsupported type, such as complex numbers: expected real numbers, "
+    "texts, arrays, or tuples, lists and dicts of them",
 }
 _NOT_WRITTEN = ("not written", "missing")
 _PLAIN = {"✓": "+", "✗": "x", "○": "o"}  # for terminals that cannot print the others
@@ -59,22 +62,38 @@ class CheckOutcome:
         claim: what a correct function does.
         state: "passed", "failed" or "not written".
         hint: where to look; empty if passed.
-        said: result or error of the function's last call; empty if passed.
+        said: result or error of the first call that differs from what is expected, or of the last
+            one where none is known to; empty if passed.
+        expected: expected beside got at the first difference; empty if not known.
+        cause: the mistake that returns the same, in words; empty if not known. It replaces the
+            hint, which is for the check's usual mistake.
     """
 
     claim: str
     state: str
     hint: str = ""
     said: str = ""
+    expected: str = ""
+    cause: str = ""
 
 
-def run_checks(exercise: Exercise, function: Function) -> list[CheckOutcome]:
+def run_checks(
+    exercise: Exercise, function: Function, hints: Hints | None = None
+) -> list[CheckOutcome]:
     """Run every public check of an exercise.
 
     Args:
         function: the student's, in this process or in a worker; its errors are outcomes.
+        hints: stored answers of the exercise, which name the mistake at the first failed check.
     """
-    return [_try(each, function) for each in exercise.checks]
+    calls: list[tuple[str, Numbers]] = []
+    outcomes = [_try(each, function, hints, calls) for each in exercise.checks]
+    cause = hints.diagnose(calls).cause if hints else ""
+    first = next((i for i, each in enumerate(outcomes) if each.state == "failed"), None)
+    if cause and first is not None:
+        outcomes[first] = replace(outcomes[first], cause=cause, hint="")
+        outcomes = [replace(each, hint="") for each in outcomes]
+    return outcomes
 
 
 def exercise_state(outcomes: Iterable[CheckOutcome]) -> str:
@@ -84,13 +103,17 @@ def exercise_state(outcomes: Iterable[CheckOutcome]) -> str:
 
 
 class _Watched:
-    """A student's function that records how its last call ended."""
+    """A student's function that records how its last call, or its first wrong one, ended."""
 
-    def __init__(self, function: Function) -> None:
+    def __init__(
+        self, function: Function, hints: Hints | None, calls: list[tuple[str, Numbers]]
+    ) -> None:
         self.function, self.said, self.raised, self.written = function, "", False, True
+        self.hints, self.calls, self.expected, self.first = hints, calls, "", ""
 
     def __call__(self, *arguments: Any) -> Any:
         call = f"called with ({', '.join(map(_shorten, arguments))}) it"
+        key = call_key(arguments) if self.hints else ""
         self.raised = True
         try:
             answer = self.function(*arguments)
@@ -100,13 +123,25 @@ class _Watched:
                 not isinstance(error, NotImplementedError) and category not in _NOT_WRITTEN
             )
             self.said = f"{call} {_CATEGORIES.get(category) or f'raised {_in_words(error)}'}"
+            self.calls.append((key, {"raised": type(error).__name__}))
             raise
         self.said, self.raised = f"{call} gave {_shorten(answer)}", False
+        if self.hints:
+            self._compare(self.hints, key, answer)
         return answer
 
+    def _compare(self, hints: Hints, key: str, answer: Any) -> None:
+        got = numbers_of(answer)
+        self.calls.append((key, got))
+        if not self.expected:
+            self.expected = hints.first_difference(key, got)
+            self.first = self.said
 
-def _try(each: Check, function: Function) -> CheckOutcome:
-    watched, unusable = _Watched(function), ""
+
+def _try(
+    each: Check, function: Function, hints: Hints | None, calls: list[tuple[str, Numbers]]
+) -> CheckOutcome:
+    watched, unusable = _Watched(function, hints, calls), ""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's, about a check's NaN
@@ -116,7 +151,8 @@ def _try(each: Check, function: Function) -> CheckOutcome:
         unusable = "" if watched.raised else f", which failed in the check: {_in_words(error)}"
     if not watched.written:
         return CheckOutcome(each.claim, "not written")
-    return CheckOutcome(each.claim, "failed", each.hint, watched.said + unusable)
+    said = watched.first if watched.expected else watched.said
+    return CheckOutcome(each.claim, "failed", each.hint, said + unusable, watched.expected)
 
 
 def _in_words(error: Exception) -> str:
@@ -161,7 +197,8 @@ def check(function: Function) -> None:
         if name not in names:
             raise InputError(f"check: expected one of the functions {', '.join(names)}, got {name}")
         exercise = lab.exercise(name)
-        outcomes = run_checks(exercise, _as_called(folder, exercise, function))
+        hints = load_hints(folder).get(name)
+        outcomes = run_checks(exercise, _as_called(folder, exercise, function), hints)
         lines = report_lines(name, outcomes, foreign_modules(function, lab.packages))
     except Exception as error:  # a check must not stop a notebook, whatever the student changed
         lines = [f"this could not be checked: {error}"]
@@ -187,10 +224,16 @@ def report_lines(name: str, outcomes: list[CheckOutcome], foreign: Iterable[str]
         lines = [f"{SYMBOLS[state]} {name}: {passed} of {len(outcomes)} public checks passed"]
         for outcome in outcomes:
             lines.append(f"   {SYMBOLS[outcome.state]} {outcome.state}: {outcome.claim}")
-            lines += [f"       {words}" for words in (outcome.said, outcome.hint) if words]
+            lines += [f"       {words}" for words in outcome_lines(outcome)]
     return lines + [
         f"   ! {name} uses {module}, which the grader does not have" for module in sorted(foreign)
     ]
+
+
+def outcome_lines(outcome: CheckOutcome) -> list[str]:
+    """What is said below a failed claim: what it gave, what was expected, the cause or a hint."""
+    cause = f"this is what comes out of: {outcome.cause}" if outcome.cause else ""
+    return [words for words in (outcome.said, outcome.expected, cause, outcome.hint) if words]
 
 
 def to_printable(text: str) -> str:
@@ -278,15 +321,29 @@ def check_notebook(folder: Path, notebook: Path) -> list[ExerciseReport]:
         exercise.name: collect_source(cells, exercise.name, lab.packages)
         for exercise in lab.exercises
     }
+    hints, broken = load_hints(folder), broken_cells(cells)
     with _Functions(folder, lab, sources) as functions:
-        return [
-            ExerciseReport(
-                each.name,
-                run_checks(each, functions.function(each.name)),
-                sources[each.name].problems,
-            )
-            for each in lab.exercises
-        ]
+        reports = []
+        for each in lab.exercises:
+            line = next((words for text, words in broken if _defines(text, each.name)), "")
+            problems = sources[each.name].problems
+            if line and not sources[each.name].text:
+                outcomes = [
+                    CheckOutcome(check.claim, "failed", "", line if not i else "")
+                    for i, check in enumerate(each.checks)
+                ]
+            else:
+                function = functions.function(each.name)
+                outcomes = run_checks(each, function, hints.get(each.name))
+            if any(_defines(text, other.name) for text, _ in broken for other in lab.exercises):
+                problems = tuple(words for words in problems if "is not Python" not in words)
+            reports.append(ExerciseReport(each.name, outcomes, problems))
+        return reports
+
+
+def _defines(text: str, name: str) -> bool:
+    """Whether a cell that is not Python was to define a function."""
+    return re.search(rf"^def[ \t]+{re.escape(name)}\b", text, re.MULTILINE) is not None
 
 
 class _Functions:

@@ -1,7 +1,7 @@
 """Release: labs and a roster -> a folder for students, without solutions or hidden cases.
 
 OUT/README.md                       the route
-OUT/lab01_sizing/                   notebook, given.py, checks.py, cohort.json, data/
+OUT/lab01_sizing/                   notebook, given.py, checks.py, cohort.json, hints.json, data/
 OUT/handouts/STUDENT/lab12_gap/     individual files of each student, for labs that have them
 """
 
@@ -15,6 +15,8 @@ from falconwing_kit.core.checks import InputError, require_file
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.grading.collect import COURSE_KEY
 from falconwing_kit.tools.grading.find import load_checks, load_module, notebook_path
+from falconwing_kit.tools.grading.hints import FILE as HINTS
+from falconwing_kit.tools.grading.hints import hints_text
 from falconwing_kit.tools.grading.lab import Course, course_constants
 from falconwing_kit.tools.grading.notebooks import build
 from falconwing_kit.tools.grading.records import safe_file_name
@@ -100,6 +102,13 @@ def _release_lab(folder: Path, target: Path, salt: str) -> None:
             folder / FOLDER, target / FOLDER, ignore=shutil.ignore_patterns("__pycache__", ".*")
         )
     _write(target / "cohort.json", cohort_text(folder, salt))
+    shipped = folder / HINTS
+    if salt:
+        hints = hints_text(folder, salt)
+    else:
+        hints = shipped.read_text(encoding="utf-8") if shipped.is_file() else ""
+    if hints:
+        _write(target / HINTS, hints)
 
 
 def without_answers(checks: str) -> str:

@@ -23,6 +23,7 @@ MUTANTS = {
             'J[:, 1, 1] = lens["fy"]',
             'J[:, 1, 1] = -lens["fy"]',
         ),
+        ("derivative of u by x with the wrong sign", "J[:, 0, 0] = -lens", "J[:, 0, 0] = lens"),
         ("derivative by z, sign", 'J[:, 0, 2] = lens["fx"]', 'J[:, 0, 2] = -lens["fx"]'),
         ("derivative by z, not squared", 'lens["fy"] * y / z**2', 'lens["fy"] * y / z'),
         ("derivative by z left out", 'J[:, 1, 2] = -lens["fy"] * y / z**2', "J[:, 1, 2] = 0.0"),

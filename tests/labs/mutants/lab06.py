@@ -12,6 +12,7 @@ MUTANTS = {
             "-R_camera_marker.T @ p_camera_marker",
             "-p_camera_marker",
         ),
+        ("V of the SVD, where NumPy already gives its transpose", "U @ Vt,", "U @ Vt.T,"),
         ("the sign of the inverse is lost", "= -R_camera_marker.T @", "= R_camera_marker.T @"),
         (
             "left-handed: the third column turned round",
