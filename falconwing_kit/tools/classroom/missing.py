@@ -228,7 +228,7 @@ def _study(pipe: "Connection[Any, Any]", calm: FlightTable, flight: FlightTable)
                 require_sound_table(table)
             base = identify_baseline(calm, tell)
             naming, _ = name_with_onset(base, flight, progress=tell)
-            answer = {
+            answer: dict[str, Any] = {
                 "verdict": naming.verdict, "effects": [c.effect.name for c in naming.chosen],
                 "parameters": {}, "headline": headline(naming), "next_flight": "",
             }  # fmt: skip
