@@ -98,7 +98,7 @@ class AfterFlight:
                 self._gap.release()
 
         answer({"flight": record.number, "state": "running", "report": {},
-                "sentence": "gap examines the flight, in half a minute or more."})  # fmt: skip
+                "sentence": "gap examines the flight: half a minute, longer if slow."})  # fmt: skip
         threading.Thread(target=work, name="gap", daemon=True).start()
 
     def _compute(self, function: str, record: FlightRecord, *arguments: Any) -> Any:

@@ -29,12 +29,15 @@ from falconwing_kit.core.flight_log import read_flight_log, to_flight_table
 from falconwing_kit.core.flight_table import FlightTable, read_flight_table, write_flight_table
 from falconwing_kit.core.messages import CONTROL_PERIOD_S, Command, Observation, State
 from falconwing_kit.flight.world import SimulatedWorld
-from falconwing_kit.gap.study import SHORTEST_S
+from falconwing_kit.gap.advice import headline, next_flight
+from falconwing_kit.gap.study import SHORTEST_S, require_pair
+from falconwing_kit.sysid.diagnose import require_sound_table
 from falconwing_kit.tools.classroom.results import FlightRecord, model_with_effects
 
 CALM_S, CALM_SEED = 60.0, 2026  # of the calm flight that is simulated
 CALM_VERSION = 1  # of the simulated calm flight; a new one is flown after a change
-LIMIT_S = 110.0  # of a study; who asked waits a little longer
+ANSWER_S = 30.0  # after it the first answer is given, if there is one
+LIMIT_S = 110.0  # of a study without any answer; who asked waits a little longer
 # Amplitudes of the sines added to the calm autopilot's sticks: without them a steady flight hides
 # what the sticks do. Throttle, aileron, elevator, rudder.
 EXCITATION = np.array([0.035, 0.07, 0.06, 0.08])
@@ -51,7 +54,7 @@ Progress = Callable[[str], None]
 
 def name_missing(
     record: FlightRecord, reference: Path | None, progress: Progress | None = None,
-    limit_s: float = LIMIT_S,
+    limit_s: float = LIMIT_S, answer_s: float = ANSWER_S,
 ) -> dict[str, Any]:  # fmt: skip
     """Compare a flight with a calm one and name the effect that the model lacks.
 
@@ -61,10 +64,13 @@ def name_missing(
             simulated, once for all flights.
         progress: called with the name of each stage.
         limit_s: after this time the study is ended [s].
+        answer_s: after this time it is ended too if the effect has a name already: the answer then
+            has no sizes, and its sentence says that it is the first one [s].
 
     Returns:
-        The record of report.json and `sentence`. Where the flight is too short or the study did
-        not end, `verdict` is "too short" or "failed" and the sentence says what to do.
+        `verdict`, `effects`, `parameters`, `headline` and `next_flight` as report.json has them,
+        and `sentence`. Where the flight is too short or the study did not end, `verdict` is "too
+        short" or "failed" and the sentence says what to do.
 
     Raises:
         FileNotFoundError: there is no log or no reference.
@@ -83,7 +89,7 @@ def name_missing(
         )
     tell("the calm flight")
     calm = calm_flight() if reference is None else read_reference(reference)
-    return _study_in_process(calm, flight, tell, limit_s)
+    return _study_in_process(calm, flight, tell, limit_s, answer_s)
 
 
 def read_reference(path: Path) -> FlightTable:
@@ -165,10 +171,12 @@ def _start_on(pilot: WaypointExpert) -> State:
 
 
 def _study_in_process(
-    calm: FlightTable, flight: FlightTable, progress: Progress, limit_s: float
-) -> dict[str, Any]:
+    calm: FlightTable, flight: FlightTable, progress: Progress, limit_s: float,
+    answer_s: float,
+) -> dict[str, Any]:  # fmt: skip
     """Run the study in another process until it answers or the time is over."""
-    context, end = multiprocessing.get_context("spawn"), time.monotonic() + limit_s
+    context, begin = multiprocessing.get_context("spawn"), time.monotonic()
+    end, first = begin + limit_s, dict[str, Any]()
     pipe, child = context.Pipe()
     process = context.Process(target=_study, args=(child, calm, flight), daemon=True)
     process.start()
@@ -176,6 +184,8 @@ def _study_in_process(
     try:
         while True:
             if not pipe.poll(max(0.0, end - time.monotonic())):
+                if first:
+                    return {**first, "sentence": first_sentence(first, time.monotonic() - begin)}
                 return _no_answer(
                     "failed",
                     f"Naming took longer than {limit_s:.0f} s on this computer and was ended: ask"
@@ -184,6 +194,8 @@ def _study_in_process(
             kind, content = pipe.recv()
             if kind == "progress":
                 progress(str(content))
+            elif kind == "first":
+                first, end = dict(content), min(end, begin + answer_s)
             elif kind == "done":
                 return {**content, "sentence": answer_sentence(content)}
             else:
@@ -197,17 +209,47 @@ def _study_in_process(
 
 
 def _study(pipe: "Connection[Any, Any]", calm: FlightTable, flight: FlightTable) -> None:
-    """In the process: the whole study; its stages and its record go into the pipe."""
-    from falconwing_kit.gap.study import gap_record, study_gap
+    """In the process: progress, the first answer and the whole one go into the pipe.
+
+    The stages of `study_gap` that an answer needs: what only its report shows is left out.
+    """
+    from falconwing_kit.gap.baseline import identify_baseline
+    from falconwing_kit.gap.close import close_gap, name_with_onset
+
+    def tell(stage: str) -> None:
+        pipe.send(("progress", stage))
 
     with suppress(AttributeError, OSError):  # not on Windows
         os.nice(10)
     with suppress(EOFError, OSError, KeyboardInterrupt):
         try:
-            study = study_gap(calm, flight, lambda stage: pipe.send(("progress", stage)))
-            pipe.send(("done", gap_record(study)))
+            require_pair(calm, flight)
+            for table in (calm, flight):
+                require_sound_table(table)
+            base = identify_baseline(calm, tell)
+            naming, _ = name_with_onset(base, flight, progress=tell)
+            answer: dict[str, Any] = {
+                "verdict": naming.verdict, "effects": [c.effect.name for c in naming.chosen],
+                "parameters": {}, "headline": headline(naming), "next_flight": "",
+            }  # fmt: skip
+            pipe.send(("first", answer))
+            tell("closing the gap")
+            sizes = {
+                name: {"value": s.value, "low95": s.low95, "high95": s.high95, "unit": s.unit}
+                for name, s in close_gap(base, naming).parameters.items()
+            }
+            following = next_flight(base, naming)
+            pipe.send(("done", {**answer, "parameters": sizes, "next_flight": following}))
         except InputError as error:
             pipe.send(("failed", str(error)))
+
+
+def first_sentence(answer: dict[str, Any], seconds: float) -> str:
+    """The sentence of a study that was ended before the sizes were known."""
+    return (
+        f"Not finished after {seconds:.0f} s; the first answer, without sizes, is:"
+        f" {str(answer['headline']).rstrip('.')}."
+    )
 
 
 def answer_sentence(report: dict[str, Any]) -> str:

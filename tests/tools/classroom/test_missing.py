@@ -62,6 +62,49 @@ def test_a_study_that_takes_too_long_is_ended(laps, tmp_path, monkeypatch):
     assert told == ["the calm flight"]
 
 
+@pytest.mark.parametrize("is_named", [True, False])
+def test_a_first_answer_is_given_when_the_time_is_over(is_named, laps, monkeypatch):
+    """A study that named the effect and then goes on: its name, said to be the first answer."""
+    first = {"verdict": "named", "effects": ["wind"], "parameters": {}, "headline": "Missing: wind"}
+
+    class Pipe:
+        """The study's end of the pipe: perhaps one message, then silence."""
+
+        messages = [("first", first)] if is_named else []
+
+        def poll(self, seconds):
+            return bool(self.messages)
+
+        def recv(self):
+            return self.messages.pop()
+
+        def close(self):
+            pass
+
+    class Context:
+        """Starts nothing."""
+
+        def Pipe(self):
+            return Pipe(), Pipe()
+
+        def Process(self, **arguments):
+            return self
+
+        def start(self):
+            pass
+
+        kill = join = start
+
+    monkeypatch.setattr(missing.multiprocessing, "get_context", lambda kind: Context())
+    answer = missing._study_in_process(laps, laps, lambda stage: None, 9.0, 0.0)
+    if is_named:
+        assert answer["effects"] == ["wind"] and answer["parameters"] == {}
+        assert answer["sentence"].startswith("Not finished")
+        assert answer["sentence"].endswith("without sizes, is: Missing: wind.")
+    else:
+        assert answer["verdict"] == "failed" and answer["effects"] == []
+
+
 def test_answer_names_sizes_and_the_next_flight():
     """Sizes with their intervals; where the verdict is open, what to fly next."""
     report = {
