@@ -191,7 +191,7 @@ def _select(
         chosen, result = _prune(base, windows, nominal, with_it, added)
         if variant.effect not in chosen:  # the best one left does not earn its penalty
             break
-        # What was pruned is not tried again: two terms could replace each other for ever.
+        # What was pruned is not tried again: two terms could replace each other without end.
         pruned |= {effect.name for effect in with_it} - {effect.name for effect in chosen}
         # Rows that the new term explains had been taken for outliers.
         windows = _reweigh(base, plain, result.model, result.initial_states)
