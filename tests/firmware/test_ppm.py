@@ -263,6 +263,24 @@ def test_spektrum_positions_become_microseconds(bench):
     )
 
 
+def test_a_stick_moved_at_a_spektrum_receiver_takes_over(bench):
+    """As through the trainer port: 0.1 s at the pilot's sticks engages, and 130 us are SAFE."""
+
+    def fly(us, loops, engage=True):
+        sticks = {k: round((value - 903) * 2048 / 1194) for k, value in enumerate(us)}
+        for _ in range(loops):
+            bench.board.write_spektrum(spektrum(sticks))
+            bench.send((1300, 1560, 1420, 1640), engage)
+            bench.wait(0.022)
+
+    fly((1300, 1560, 1420, 1640), 5, engage=False)
+    fly((1300, 1560, 1420, 1640), 10)
+    assert bench.status().state == "ACTIVE"
+    fly((1300, 1560, 1550, 1640), 3)
+    status = bench.status()
+    assert status.state == "SAFE" and status.pilot_took_over
+
+
 def test_spektrum_garbage_gives_no_sticks(bench):
     """200 frames at random and cut short: a channel's number twice or above 11 is refused, and
     counted.
