@@ -551,8 +551,8 @@ def test_a_board_that_answers_without_pulses_is_dropped_within_150_ms(board, por
 
 
 def test_a_board_may_be_without_pulses_before_it_is_asked(board, port):
-    """Silent in SAFE, as its setting allows: nothing is reported, and it still engages."""
-    silent = replace(SAYS, silent=True)
+    """Silent in SAFE, as its setting allows: nothing is reported."""
+    silent = replace(SAYS, silent=True, ppm_frames=777)
     for k in range(20):
         step(board, port, replace(silent, last_sequence=100 + k, accepted=40 + k))
         port.send(STICKS, engage=False)

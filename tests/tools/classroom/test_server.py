@@ -138,7 +138,12 @@ def test_foreign_hosts_and_origins_get_nothing(tmp_path):
         for origin in ("http://evil.example", f"https://{server.address}", "null"):
             with pytest.raises(InvalidStatus):
                 page(server, origin=origin)
-        assert server.refused["origin"] == 4 and server.refused["host"] == 2
+        with pytest.raises(InvalidStatus):  # a page always names its origin
+            connect(f"ws://{server.address}/ws?role=seat", open_timeout=PATIENCE_S)
+        assert server.refused["origin"] == 5 and server.refused["host"] == 2
+    with running(tmp_path, lan=True) as (server, _):  # this machine's short name is not the class's
+        short = f"localhost:{server.port}"
+        assert get(server, f"/?token={server.token}", Host=short)[:2] == (403, b"")
 
 
 def test_the_desk_needs_its_key(tmp_path):
