@@ -184,7 +184,7 @@ def test_a_flight_until_its_time_is_up_succeeds(bench, monkeypatch, capsys):
     stop, was_active = Grabber.stop, []
 
     def stop_slowly(images):
-        time.sleep(0.1)  # shorter than the board's own timeout
+        time.sleep(0.02)  # for the line; the board's own timeout is 0.2 s
         with bench.pause() as board:
             was_active.append(board.led)
         return stop(images)

@@ -12,7 +12,9 @@ from falconwing_kit.tools.grading import collect
 from falconwing_kit.tools.grading.bounded import TooMuchError, call_bounded
 from falconwing_kit.tools.grading.collect import (
     MAX_CELLS,
+    MAX_CODE,
     MAX_FILE,
+    MAX_PIECES,
     Source,
     collect_source,
     collect_sources,
@@ -256,6 +258,21 @@ def test_cells_know_their_role(tmp_path):
         (False, "answer", "q1"),
         (True, "figure", "radius"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("data", "word"),
+    [
+        (lambda: b" " * (MAX_FILE + 1), "32 MiB"),
+        (lambda: b"[" + b"1," * MAX_PIECES + b"1]", "millions of values"),
+        (lambda: toys.notebook_bytes("#" * (MAX_CODE + 1)), "2 MiB of text"),
+    ],
+    ids=["a large file", "millions of values", "much code"],
+)
+def test_a_notebook_that_is_too_large_is_refused_before_it_is_read(data, word):
+    """Before the parser, whose memory is many times the text's, sees it."""
+    with pytest.raises(InputError, match=word):
+        parse_notebook(data(), "a.ipynb")
 
 
 @pytest.mark.parametrize(
