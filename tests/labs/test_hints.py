@@ -9,9 +9,9 @@ from falconwing_kit.tools.grading.find import lab_folders
 from falconwing_kit.tools.grading.hints import Recorder, hints_text, load_hints
 from falconwing_kit.tools.grading.public_checks import check_notebook, report_lines, run_checks
 from falconwing_kit.tools.grading.release import release
-from tests.benchmarks.bench_hints import judge_lab
 from tests.labs.functions import ROOT, LabHere
 from tests.labs.holdout.generate import frozen
+from tests.labs.judged_hints import judge_lab
 
 FOLDERS = lab_folders(ROOT / "labs")
 LABS = {folder.name.split("_")[0]: folder for folder in FOLDERS}

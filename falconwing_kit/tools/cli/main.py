@@ -105,7 +105,9 @@ def _run_verb(name: str, module: str, class_name: str, words: list[str]) -> int:
                 # a switch is `--json` alone, without `--no-json`
                 config=(tyro.conf.FlagCreatePairsOff,),
             )
-            return int(settings.run())
+            code = int(settings.run())
+            sys.stdout.flush()  # here, and not at exit, a closed pipe can still be told
+            return code
         except InputError as error:
             return _refuse(str(error))
         except BrokenPipeError:  # `falconwing ... | head` closed our output, which is no error

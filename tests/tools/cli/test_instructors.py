@@ -59,7 +59,7 @@ def test_every_step_is_told():
 
 
 def test_plans_add_up_to_the_labs_own_hours():
-    """Each plan's hours against those that the labs say: all twelve, and the route's core."""
+    """Each plan's hours against those that the labs say: all of them, and the route's core."""
     hours = {int(folder.name[3:5]): load_checks(folder).hours for folder in lab_folders(LABS)}
     core = {int(n) for n in re.findall(r"^\| (\d+) `.*\| yes \|$", ROUTE, re.MULTILINE)}
     for title, wanted in (("## Twelve", set(hours)), ("## Six", core)):
