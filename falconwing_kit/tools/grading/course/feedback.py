@@ -54,7 +54,7 @@ def write_feedback(
     Args:
         path: of the HTML file.
         checks: for each exercise that lost points the outcomes of its public checks (claim, state,
-            hint, output of the function); None where they were not run.
+            lines that are said below it); None where they were not run.
     """
     lab, record = entry.lab, entry.record
     done = record["exercises"]

@@ -5,7 +5,7 @@ import json
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from falconwing_kit.tools.grading.find import load_checks, load_module, notebook
 from falconwing_kit.tools.grading.judge import GradingContext
 from falconwing_kit.tools.grading.lab import Course, Lab, course_constants
 from falconwing_kit.tools.grading.notebooks import YOUR_ANSWER
-from falconwing_kit.tools.grading.public_checks import run_checks
+from falconwing_kit.tools.grading.public_checks import outcome_lines, run_checks
 from falconwing_kit.tools.grading.sandbox.host import StudentError
 from falconwing_kit.tools.grading.submissions import Submission
 
@@ -121,8 +121,8 @@ def inspect_submission(work: InspectionTask, context: ReportContext) -> dict[str
         desk: lab and settings.
 
     Returns:
-        `checks` (for each exercise its outcomes: claim, state, hint, output of the function in this
-        public case), `figures` (for each figure its pictures and their source), `answers`,
+        `checks` (for each exercise its outcomes: claim, state, lines that are said below it),
+        `figures` (for each figure its pictures and their source), `answers`,
         `sources` (of each function), and `problem` if the notebook cannot be read; plain texts,
         lists, dicts.
 
@@ -181,7 +181,7 @@ def _checks(
                 found = run_checks(exercise, worker.call)
         else:
             found = run_checks(exercise, _missing)
-        outcomes[name] = [astuple(outcome) for outcome in found]
+        outcomes[name] = [(each.claim, each.state, outcome_lines(each)) for each in found]
     return outcomes
 
 
