@@ -12,12 +12,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from falconwing_kit.tools.grading.find import load_module
+from falconwing_kit.tools.grading.find import importable_given, load_module
 from falconwing_kit.tools.grading.mine import load_parts, write_package
 from tests.labs.test_fly_your_own import (
     FOLDER,
     fly_with,
-    given_importable,
     mixture,
     require_landing,
     students_labs,
@@ -30,7 +29,7 @@ def main() -> None:
     parser.add_argument("--mixtures", type=int, default=50)
     mixtures = parser.parse_args().mixtures
     given, landed = load_module(FOLDER, "given"), 0
-    with tempfile.TemporaryDirectory() as temporary, given_importable(given):
+    with tempfile.TemporaryDirectory() as temporary, importable_given(given):
         everything = Path(temporary) / "everything"
         write_package(students_labs(), everything, verify=False)
         packages = {"none of the student": load_parts("kit"), "all": load_parts(everything)}

@@ -8,16 +8,19 @@ solution goes through it once.
 import copy
 import importlib.util
 import re
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 
 from falconwing_kit.tools.grading.collect import Notebook, SubmittedCell, collect_source
-from falconwing_kit.tools.grading.find import load_checks, load_judges, load_module
+from falconwing_kit.tools.grading.find import (
+    importable_given,
+    load_checks,
+    load_judges,
+    load_module,
+)
 from falconwing_kit.tools.grading.lab import Course, Function, Judge, Lab, course_constants
 from falconwing_kit.tools.grading.notebooks import read_cells
 
@@ -54,7 +57,7 @@ class LabHere:
         source = collect_source(Notebook(tuple(cells)), name, self.lab.packages)
         assert source.problems == (), source.problems
         namespace: dict[str, object] = {"__name__": "notebook"}
-        with self._given_importable():
+        with importable_given(self.given):
             exec(compile(source.text, f"{self.folder.name}/{name}", "exec"), namespace)
         return self.as_called(name, namespace[name])
 
@@ -63,7 +66,7 @@ class LabHere:
         through = self.lab.exercise(name).through
 
         def called(*arguments):
-            with self._given_importable():
+            with importable_given(self.given):
                 arguments = copy.deepcopy(arguments)
                 return (
                     getattr(self.given, through)(function, *arguments)
@@ -81,17 +84,6 @@ class LabHere:
             verdict for judge in self.judges[name] for verdict in judge.verdicts(function, rng)
         ]
         return sum(map(right, verdicts)) / len(verdicts)
-
-    @contextmanager
-    def _given_importable(self) -> Iterator[None]:
-        before = sys.modules.get("given")
-        sys.modules["given"] = self.given
-        try:
-            yield
-        finally:
-            sys.modules.pop("given")
-            if before is not None:
-                sys.modules["given"] = before
 
 
 def right(verdict) -> bool:

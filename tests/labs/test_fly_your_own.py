@@ -1,8 +1,6 @@
 """Lab 13 flies with any parts: all of the student's, none, or any mixture with the kit's."""
 
 import json
-import sys
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +10,13 @@ import pytest
 
 from falconwing_kit.tools.grading.collect import collect_source, read_notebook
 from falconwing_kit.tools.grading.course.board import rank_entries
-from falconwing_kit.tools.grading.find import lab_folder, load_checks, load_module, notebook_path
+from falconwing_kit.tools.grading.find import (
+    importable_given,
+    lab_folder,
+    load_checks,
+    load_module,
+    notebook_path,
+)
 from falconwing_kit.tools.grading.mine import PARTS, CheckedLab, load_parts, write_package
 from tests.labs.tools import require_sandbox
 
@@ -42,23 +46,10 @@ def mixture(folder, seed):
     return load_parts(folder), choices
 
 
-@contextmanager
-def given_importable(module):
-    """Lab 13's given code under the name that the notebook's functions import."""
-    before = sys.modules.get("given")
-    sys.modules["given"] = module
-    try:
-        yield module
-    finally:
-        sys.modules.pop("given")
-        if before is not None:
-            sys.modules["given"] = before
-
-
 @pytest.fixture
 def given():
     """Lab 13's given code."""
-    with given_importable(load_module(FOLDER, "given")) as module:
+    with importable_given(load_module(FOLDER, "given")) as module:
         yield module
 
 

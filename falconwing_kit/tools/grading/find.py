@@ -153,6 +153,19 @@ def load_module(
 
 
 @contextmanager
+def importable_given(module: types.ModuleType) -> Iterator[types.ModuleType]:
+    """For a while a lab's given code is what `import given` finds, as in its notebook."""
+    before = sys.modules.get("given")
+    sys.modules["given"] = module
+    try:
+        yield module
+    finally:
+        sys.modules.pop("given")
+        if before is not None:
+            sys.modules["given"] = before
+
+
+@contextmanager
 def _reserved_names() -> Iterator[None]:
     """Remove a lab's module names from `sys.modules`, and restore them afterwards."""
     before = {name: sys.modules.pop(name) for name in _NEIGHBOURS if name in sys.modules}

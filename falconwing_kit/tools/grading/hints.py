@@ -12,9 +12,8 @@ import importlib.util
 import json
 import math
 import re
-import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.tools.grading.collect import Notebook, SubmittedCell, collect_source
-from falconwing_kit.tools.grading.find import load_checks, load_module
+from falconwing_kit.tools.grading.find import importable_given, load_checks, load_module
 from falconwing_kit.tools.grading.lab import Exercise, Function, Lab, course_constants
 from falconwing_kit.tools.grading.notebooks import SourceCell, read_cells
 
@@ -309,7 +308,7 @@ def hints_text(folder: Path, salt: str = "") -> str:
     given = load_module(folder, "given", constants)
     cells = [cell for cell in read_cells(folder / "lab.py") if not cell.markdown]
     exercises = {}
-    with _importable(given):
+    with importable_given(given):
         for each in lab.exercises:
             expected = _answers(each, _function(cells, lab, each, given))
             mistakes = {}
@@ -391,15 +390,3 @@ def _shaken(function: Function) -> Function:
         return function(*near)
 
     return called
-
-
-@contextmanager
-def _importable(given: Any) -> Iterator[None]:
-    before = sys.modules.get("given")
-    sys.modules["given"] = given
-    try:
-        yield
-    finally:
-        sys.modules.pop("given")
-        if before is not None:
-            sys.modules["given"] = before

@@ -1,6 +1,7 @@
 """Statistics of trials: outcomes -> confidence intervals and a test of two pilots."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,13 +26,7 @@ def clopper_pearson_interval(
     Raises:
         InputError: the counts do not fit, or the confidence is not between 0 and 1.
     """
-    from scipy.stats import binomtest
-
-    n = _require_count("trials", trials, low=1)
-    k = _require_count("successes", successes, high=n)
-    level = require_range("confidence", confidence, low=0.01, high=0.9999)
-    interval = binomtest(k, n).proportion_ci(level, "exact")
-    return float(interval.low), float(interval.high)
+    return _rate_interval(successes, trials, confidence, "exact")
 
 
 def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -47,12 +42,18 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tu
     Raises:
         InputError: the counts do not fit, or the confidence is not between 0 and 1.
     """
+    return _rate_interval(successes, trials, confidence, "wilson")
+
+
+def _rate_interval(
+    successes: int, trials: int, confidence: float, method: Literal["exact", "wilson"]
+) -> tuple[float, float]:
     from scipy.stats import binomtest
 
     n = _require_count("trials", trials, low=1)
     k = _require_count("successes", successes, high=n)
     level = require_range("confidence", confidence, low=0.01, high=0.9999)
-    interval = binomtest(k, n).proportion_ci(level, "wilson")
+    interval = binomtest(k, n).proportion_ci(level, method)
     return float(interval.low), float(interval.high)
 
 

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from functions import ROOT, LabHere
 
 from falconwing_kit.tools.grading.collect import Notebook, SubmittedCell, collect_source
-from falconwing_kit.tools.grading.find import lab_folders
+from falconwing_kit.tools.grading.find import importable_given, lab_folders
 from falconwing_kit.tools.grading.lab import Function
 from falconwing_kit.tools.grading.public_checks import exercise_state, run_checks
 
@@ -175,7 +175,7 @@ def solution_source(here: LabHere, name: str) -> str:
 def as_function(here: LabHere, name: str, text: str) -> Function:
     """A program's function, as the checks call it."""
     namespace: dict[str, object] = {"__name__": "notebook"}
-    with here._given_importable():
+    with importable_given(here.given):
         exec(compile(text, name, "exec"), namespace)
     return here.as_called(name, namespace[name])
 
