@@ -8,6 +8,7 @@ import tomllib
 import pytest
 
 from falconwing_kit.tools.hardware.parts import load_parts, roll_up
+from falconwing_kit.trainer_port.safety import SafetyConfig
 from tests.manual.book import (
     MANUAL,
     ROOT,
@@ -172,6 +173,20 @@ def test_tables_of_parts_are_the_list():
         parts = [row["part"] for row in csv.DictReader(file)]
     assert [name for name in parts if name.replace("'", "’") not in page().text] == []
     assert f"about {math.floor(roll_up(load_parts()).cost + 0.5)} in all" in page().text
+
+
+def test_the_boards_rules_are_the_firmwares():
+    """The chapter's numbers are the settings, which test_safety compares with config.h."""
+    text = " ".join((ROOT / "manual" / "chapters" / "3_bench.typ").read_text("utf-8").split())
+    c = SafetyConfig()
+    for words in (
+        f"so do {c.host_timeout_ms} ms without a command",
+        f"a frame of them is at most {c.pilot_fresh_ms} ms old",
+        f"every slot is within {c.engage_near_us} µs of the pilot's",
+        f"idle (within {c.engage_idle_us} µs) and the others within {c.engage_near_us} µs",
+        f"A stick more than {c.pilot_moved_us} µs, {c.pilot_moved_us // 10} % of its travel",
+    ):
+        assert words in text
 
 
 def test_map_of_the_paper_is_printed_as_it_stands():
