@@ -13,7 +13,8 @@ from falconwing_kit.flight.pose_pilot import finite_commands, is_repeated
 from falconwing_kit.flight.sources import decode_jpeg
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.vision.images import Pixels
-from falconwing_kit.vision.policy import SMALLEST_DEVIATION, Array32, Policy, policy_inputs
+from falconwing_kit.vision.layers import SMALLEST_DEVIATION, Array32
+from falconwing_kit.vision.policy import Policy, policy_inputs
 
 LOST_AFTER_S = 1.0  # without a new image the commands are guesses; training had 0.55 s at most
 LEAST_CORRELATION = 0.05  # of neighbouring pixels in a picture

@@ -71,11 +71,25 @@ PILOTS = {
         "by the camera: pose network, filter, expert", ("landing",), False, ("hall",)
     ),
     "student": PilotEntry(
-        "by the camera: one small network, trained by imitation", ("landing",), False, ("hall",)
+        "by the camera: one small network with a memory, trained by imitation",
+        ("landing", "follow"),
+        False,
+        ("hall",),
+    ),
+    "mask": PilotEntry(
+        "by the camera: a network of the past commands and of a mask of the leader, which another"
+        " network finds in the image",
+        ("follow",),
+        False,
+        ("hall",),
+    ),
+    "rgb_mask": PilotEntry(
+        "by the camera: the same by image and mask", ("follow",), False, ("hall",)
     ),
     "manual": PilotEntry("by hand, on the page of `falconwing class`", ("landing", "follow"), True),
 }
-PLANNED = ("rgb", "mask", "rgb_mask")  # names of later versions
+PLANNED = ("rgb",)  # names of later versions
+BY_POLICY = ("student", "mask", "rgb_mask")
 TASK_NAMES = ("landing", "follow")
 
 
@@ -138,12 +152,20 @@ def load_pilot(
             f" got {p_body_camera.tolist()}; check the unit"
         )
     model, airframe, pad = model or rates_model(), airframe or load_airframe(), pad or LandingPad()
-    if weights is not None and name != "student":
+    if weights is not None and name not in BY_POLICY:
         raise InputError(
             f"weights: expected none for pilot {name}, got {short_name(weights)}; use student"
         )
     if name == "manual":
         return ManualPilot(model, airframe, pad)
+    if name in BY_POLICY:
+        policy = _policy(task, name) if weights is None else Policy.load(weights)
+        if policy.record.task != task:
+            raise InputError(
+                f"weights: expected a policy for the task {task}, got one for"
+                f" {policy.record.task}; take its own task"
+            )
+        return ImagePilot(policy, _require_camera(camera), p_body_camera)
     if task == "follow":
         if leader is None:
             raise InputError(
@@ -154,14 +176,6 @@ def load_pilot(
     if name == "pose":
         net = _pose_net(scene)
         return PosePilot(model, airframe, pad, _checked_camera(net, camera), p_body_camera, net)
-    if name == "student":
-        policy = _policy(task, name) if weights is None else Policy.load(weights)
-        if policy.record.task != task:
-            raise InputError(
-                f"weights: expected a policy for the task {task}, got one for"
-                f" {policy.record.task}; take its own task"
-            )
-        return ImagePilot(policy, _require_camera(camera), p_body_camera)
     make = partial(LandingExpert, model, airframe, pad)
     if name == "expert_pid":
         make = partial(make, autopilot=SuccessiveAutopilot)

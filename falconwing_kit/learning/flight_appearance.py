@@ -73,7 +73,8 @@ class FlightAppearance:
         images = middle + self._contrast[flights] * (images - middle) + self._tint[flights]
         images = images.clamp(0.0, 1.0)
         images = self._blur(images, flights)
-        images = self._covered(images, flights)
+        hidden = self.covers((size[0], size[1]), flights)
+        images = torch.where(hidden[:, None], self._colour[flights], images)
         rows = torch.nonzero(self._analog[flights])[:, 0]
         if len(rows):
             images = images.index_copy(0, rows, analog_link(images[rows], self._generator))
@@ -96,9 +97,9 @@ class FlightAppearance:
         part = functional.conv2d(wide, line[:, None, :, None], groups=count)
         return images.index_copy(0, rows, part.transpose(0, 1))
 
-    def _covered(self, images: Tensor, flights: Tensor) -> Tensor:
-        """A side of the image and an ellipse in one colour."""
-        height, width = images.shape[2:]
+    def covers(self, size: tuple[int, int], flights: Tensor) -> Tensor:
+        """What is covered (N, h, w) of images of a size (h, w): a side of them and an ellipse."""
+        height, width = size
         y = (torch.arange(height, device=self._device) + 0.5)[:, None] / height
         x = (torch.arange(width, device=self._device) + 0.5)[None, :] / width
         y, x = y.expand(height, width), x.expand(height, width)
@@ -109,7 +110,7 @@ class FlightAppearance:
         rx, ry = (0.05 + 0.2 * r.reshape(shape) for r in (rx, ry))
         spot = ((x - cx.reshape(shape)) / rx) ** 2 + ((y - cy.reshape(shape)) / ry) ** 2 < 1.0
         hidden = hidden | (spot & self._has_spot[flights].reshape(shape))
-        return torch.where(hidden[:, None], self._colour[flights], images)
+        return hidden & ~self.clean[flights].reshape(shape)
 
     def _salted(self, images: Tensor, flights: Tensor) -> Tensor:
         """Salt and pepper: a share of the pixels white or black."""

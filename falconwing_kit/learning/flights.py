@@ -33,6 +33,7 @@ from falconwing_kit.learning.situations import Ranges, Situation, draw_situation
 
 PAST = 30  # commands that a pilot is given
 AUXILIARY = 19  # numbers of `auxiliary_state`
+LOST_STEPS = 20  # without the leader in view, after which nothing is to be learnt by seeing
 Job = tuple[str, int, Ranges, Array]  # arguments of `draw_situation`
 
 
@@ -85,12 +86,13 @@ class TaughtFlight:
                 self.world, situation.leader, load_airframe(), fpv_camera()
             )
         self._past = np.zeros((PAST, 4))
+        self._unseen = 0  # steps since the leader was in view
 
     @property
     def flies(self) -> bool:
-        """Whether it goes on."""
+        """Whether it goes on: not after its time, a contact, or a second without its leader."""
         over = self.world.t > self.situation.duration - CONTROL_PERIOD_S
-        return self.world.contact is None and not over
+        return self.world.contact is None and not over and self._unseen < LOST_STEPS
 
     def teach(self) -> Array:
         """(4,) what the teacher would do now."""
@@ -109,6 +111,17 @@ class TaughtFlight:
         if self._judge is not None:
             self._judge.watch(LoopStep(self.world.t, None, None, sent, "", None))
         self.world.advance(self.world.t + CONTROL_PERIOD_S)
+        self._unseen = 0 if self._leader_is_in_view() else self._unseen + 1
+
+    def _leader_is_in_view(self) -> bool:
+        """Whether the leader's centre of gravity is inside the image; True without a leader."""
+        leader, camera = self.situation.leader, fpv_camera()
+        if leader is None:
+            return True
+        p_world = leader.state_at(self.world.t).p_world
+        T_world_camera = self.world.state.pose.T_world_body @ self.situation.T_body_camera
+        (uv,), (depth,) = camera.project(p_world[None], T_world_camera)
+        return bool(depth > 0.0 and 0.0 <= uv[0] < camera.width and 0.0 <= uv[1] < camera.height)
 
     def outcome(self) -> dict[str, Any]:
         """What it came to: the contact, and the measures of a touchdown."""

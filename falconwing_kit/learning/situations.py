@@ -53,6 +53,11 @@ class Ranges:
 
 
 SPREAD_RANGES = Ranges()
+# behind a leader an aircraft is steered harder, and loses it where it is flown late
+FOLLOW_RANGES = replace(
+    SPREAD_RANGES, coefficients=0.15, trim=0.04, delay=(0.0, 0.12), long_delay=(0.12, 0.17),
+    mean_wind=0.6, gusts=0.2, black_s=0.3,
+)  # fmt: skip
 NOMINAL = Ranges(0.0, 0.0, (LINK_DELAY_S,) * 2, (LINK_DELAY_S,) * 2, 0.0, 0.0, (0.0,) * 3, 0.0,
                  0.0, 0, 0.0, 0.0)  # fmt: skip
 

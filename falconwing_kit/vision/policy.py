@@ -1,7 +1,7 @@
 """Policy: images, past commands and a memory -> commands, by a small network in NumPy alone; the
 file of its weights.
 
-    image -> convolutions -> features (F,)          each new image, `encode`
+    image, mask -> convolutions -> features (F,)    each new image, `encode`
     features, inputs, memory -> commands, memory    each step, `step`
 
 The layers are those of policy_network.py, which trains them; batch normalisation is folded into
@@ -16,21 +16,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falconwing_kit.core.checks import InputError, require_file
 from falconwing_kit.core.files import short_name
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.vision.images import Pixels, require_image
+from falconwing_kit.vision.layers import (
+    Array32,
+    convolve,
+    gated_recurrent_unit,
+    layer_norm,
+    standardise,
+)
+from falconwing_kit.vision.leader_mask import PREFIX, leader_mask, mask_weight_shapes
 from falconwing_kit.vision.pose_net import crop_window
 
-Array32 = NDArray[np.float32]
 Memory = Array32  # (M,) state of the recurrent unit; empty for a network without one
 
 MAX_FILE_BYTES = 64 * 1024**2
 VERSION = 1
 CHANNELS = {"rgb": 3, "mask": 1, "rgb_mask": 4}  # of the input image, by its kind
-SMALLEST_DEVIATION = 0.02  # an image with less contrast is not amplified
 AGE_UNIT_S, MOUNT_UNIT_M = 0.1, 0.25  # scales of the inputs
 CONTROLS = 4
 
@@ -119,11 +125,6 @@ class Policy:
         return policy
 
     @property
-    def channels(self) -> int:
-        """Of the image that `encode` takes."""
-        return CHANNELS[self.shape.sees]
-
-    @property
     def camera(self) -> PinholeCamera:
         """The camera that the policy was trained for."""
         focal, width, height = self.record.focal, self.shape.width, self.shape.height
@@ -150,12 +151,19 @@ class Policy:
         return np.asarray(image, np.float32) / np.float32(255.0)
 
     def encode(self, image: Array32) -> Array32:
-        """Features (F,) of an image (h, w, C) in 0..1, red, green, blue, mask."""
-        x = standardise(image).transpose(2, 0, 1)
+        """Features (F,) of an image (h, w, 3) in 0..1; its mask of the leader is found here."""
+        x = standardise(self.see(image)).transpose(2, 0, 1)
         for layer, (_, _, stride) in enumerate(self.shape.convolutions):
             weight, bias = self._w[f"conv{layer}.weight"], self._w[f"conv{layer}.bias"]
             x = np.maximum(convolve(x, weight, stride) + bias[:, None, None], 0.0)
         return layer_norm(self._dense("features", x.reshape(-1)))
+
+    def see(self, image: Array32) -> Array32:
+        """What the convolutions get of an image (h, w, 3): it, its mask, or both (h, w, C)."""
+        if self.shape.sees == "rgb":
+            return image
+        mask = leader_mask(image, self._w)[..., None]
+        return mask if self.shape.sees == "mask" else np.concatenate([image, mask], axis=-1)
 
     def start_memory(self) -> Memory:
         """The memory at the begin of a flight."""
@@ -214,65 +222,6 @@ def policy_inputs(
     return np.concatenate([flat, has_image, scaled_age, mount], axis=-1, dtype=np.float32)
 
 
-def standardise(image: Array32) -> Array32:
-    """An image (h, w, C) with mean 0 and standard deviation 1 over its colours; a mask stays."""
-    colours = image[..., :3] if image.shape[-1] >= 3 else image[..., :0]
-    if colours.size == 0:
-        return image
-    deviation = max(float(colours.std()), SMALLEST_DEVIATION)
-    scaled = (colours - colours.mean()) / np.float32(deviation)
-    return np.concatenate([scaled, image[..., 3:]], axis=-1)
-
-
-def convolve(x: Array32, weight: Array32, stride: int) -> Array32:
-    """Cross-correlation with zeros around, as in PyTorch: (C, h, w) -> (D, h / s, w / s).
-
-    The windows become the columns of a matrix, so that one matrix product does the work (im2col).
-
-    Args:
-        x: (C, h, w).
-        weight: (D, C, k, k), k odd.
-        stride: s.
-    """
-    (channels, rows, columns), k = x.shape, weight.shape[-1]
-    if k > 1:
-        x = np.pad(x, ((0, 0), (k // 2, k // 2), (k // 2, k // 2)))
-    windows = np.lib.stride_tricks.sliding_window_view(x, (k, k), axis=(1, 2))
-    windows = windows[:, ::stride, ::stride]
-    rows, columns = windows.shape[1:3]
-    matrix = windows.transpose(0, 3, 4, 1, 2).reshape(channels * k * k, rows * columns)
-    return np.asarray(weight.reshape(len(weight), -1) @ matrix).reshape(-1, rows, columns)
-
-
-def layer_norm(x: Array32, smallest: float = 1e-5) -> Array32:
-    """x (F,) with mean 0 and variance 1 [Ba, Kiros & Hinton 2016, eq. 4, without gain]."""
-    centred = x - x.mean()
-    return np.asarray(centred / np.sqrt((centred**2).mean() + np.float32(smallest)))
-
-
-def gated_recurrent_unit(
-    x: Array32, h: Array32, W_x: Array32, W_h: Array32, b_x: Array32, b_h: Array32
-) -> Array32:
-    """The next memory of a gated recurrent unit [Cho et al. 2014, eq. 5 to 8].
-
-    r = sigmoid(W_xr x + W_hr h), z = sigmoid(W_xz x + W_hz h), n = tanh(W_xn x + r (W_hn h)),
-    h' = (1 - z) n + z h; each product has a bias.
-
-    Args:
-        x: (I,).
-        h: (M,) memory.
-        W_x, W_h: (3 M, I) and (3 M, M), the rows of r, z, n.
-        b_x, b_h: (3 M,).
-    """
-    (xr, xz, xn), (hr, hz, hn) = np.split(W_x @ x + b_x, 3), np.split(W_h @ h + b_h, 3)
-    r, z = _sigmoid(xr + hr), _sigmoid(xz + hz)
-    return np.asarray((1.0 - z) * np.tanh(xn + r * hn) + z * h, np.float32)
-
-
-def _sigmoid(x: Array32) -> Array32:
-    return np.asarray(0.5 + 0.5 * np.tanh(0.5 * x))
-
-
 def weight_shapes(shape: PolicyShape) -> dict[str, tuple[int, ...]]:
     """Name and shape of each array of a policy's weights."""
     shapes: dict[str, tuple[int, ...]] = {}
@@ -291,6 +240,8 @@ def weight_shapes(shape: PolicyShape) -> dict[str, tuple[int, ...]]:
     dense.append(("commands", shape.hidden, CONTROLS))
     for name, before, after in dense:
         shapes |= {f"{name}.weight": (after, before), f"{name}.bias": (after,)}
+    if shape.sees != "rgb":
+        shapes |= {PREFIX + name: size for name, size in mask_weight_shapes().items()}
     return shapes
 
 

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from falconwing_kit.vision.policy import CHANNELS, CONTROLS, SMALLEST_DEVIATION, PolicyShape
+from falconwing_kit.vision.layers import SMALLEST_DEVIATION
+from falconwing_kit.vision.policy import CHANNELS, CONTROLS, PolicyShape
 
 
 class ConvUnit(nn.Module):

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from falconwing_kit.learning.flights import AUXILIARY, Fleet
-from falconwing_kit.learning.imitation import Flown, Learner, Rollout, Schedule, fly_all
+from falconwing_kit.learning.imitation import Rollout, fly_all
+from falconwing_kit.learning.learner import Flown, Learner, Schedule, draw_batch
 from falconwing_kit.learning.situations import NOMINAL, draw_situation
 from falconwing_kit.vision.policy import PolicyShape
 
@@ -64,6 +65,13 @@ def test_a_flight_by_the_network_is_still_taught():
     assert np.abs(flight.sent - flight.teacher).max() > 0.05
 
 
+def train(learner, flights, share):
+    """One step on a batch of flights: the loss."""
+    size = learner.schedule.batch
+    batch = draw_batch(flights, size, NOMINAL, learner.rng, learner.generator)
+    return float(learner.train_step(batch, share))
+
+
 def test_training_lowers_the_loss():
     """Commands that are read off the image's brightness: learned in 150 steps to a third."""
     rng = np.random.default_rng(0)
@@ -79,9 +87,9 @@ def test_training_lowers_the_loss():
             Flown(images, None, np.zeros((20, 4)), teacher, np.zeros((20, AUXILIARY)), MOUNT)
         )
     learner = Learner(SHAPE, Schedule(batch=8, rate=3e-3), "cpu")
-    losses = [float(learner.train_step(flights, 0.1, NOMINAL)) for _ in range(150)]
+    losses = [train(learner, flights, 0.1) for _ in range(150)]
     assert np.mean(losses[-20:]) < 0.5 * np.mean(losses[:5])
-    assert learner.steps == 150
+    assert learner.trained.steps == 150
 
 
 def test_the_average_lags_behind_the_network():
@@ -91,8 +99,8 @@ def test_the_average_lags_behind_the_network():
     sent, auxiliary = np.zeros((8, 4)), np.zeros((8, AUXILIARY))
     flights = [Flown(images, None, sent, sent + 1.0, auxiliary, MOUNT)]
     for _ in range(5):
-        learner.train_step(flights, 0.5, NOMINAL)
-    pairs = zip(learner.network.parameters(), learner.average.parameters(), strict=True)
+        train(learner, flights, 0.5)
+    pairs = zip(learner.trained.network.parameters(), learner.average.parameters(), strict=True)
     assert any(not torch.equal(a, b) for a, b in pairs)
     assert all(torch.isfinite(w).all() for w in learner.average.parameters())
 

@@ -10,17 +10,17 @@ from safetensors.numpy import save
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.flight.sources import fpv_camera
+from falconwing_kit.vision.layers import convolve, gated_recurrent_unit, layer_norm
+from falconwing_kit.vision.leader_mask import leader_mask
+from falconwing_kit.vision.mask_network import MaskNetwork
 from falconwing_kit.vision.policy import (
     Policy,
     PolicyRecord,
     PolicyShape,
-    convolve,
-    gated_recurrent_unit,
-    layer_norm,
     policy_inputs,
     weight_shapes,
 )
-from falconwing_kit.vision.policy_network import PolicyNetwork
+from falconwing_kit.vision.policy_network import ConvUnit, PolicyNetwork
 
 SMALL = PolicyShape(
     32, 24, convolutions=((6, 5, 2), (8, 3, 1), (4, 1, 1)), features=12, memory=10, hidden=8
@@ -71,26 +71,51 @@ def test_a_layer_norm_is_pytorchs(rng):
     assert layer_norm(x) == pytest.approx(expected, abs=1e-5)
 
 
+def shaken(network):
+    """A network in evaluation, its batch normalisations with running statistics of their own."""
+    for unit in network.modules():
+        if isinstance(unit, ConvUnit):
+            torch.nn.init.normal_(unit.norm.running_mean)
+            torch.nn.init.uniform_(unit.norm.running_var, 0.5, 2.0)
+            torch.nn.init.normal_(unit.norm.bias)
+    return network.eval()
+
+
+@pytest.mark.parametrize("size", [(24, 32), (21, 30)])
+def test_a_mask_is_its_networks(size, rng):
+    """Against PyTorch, also where a side cannot be halved three times."""
+    network = shaken(MaskNetwork())
+    torch.nn.init.normal_(network.out.weight)
+    torch.nn.init.zeros_(network.out.bias)
+    image = rng.random((*size, 3)).astype(np.float32)
+    weights = {name: w.numpy() for name, w in network.weights().items()}
+    with torch.no_grad():
+        expected = torch.sigmoid(network(torch.tensor(image).permute(2, 0, 1)[None]))[0]
+    found = leader_mask(image, weights)
+    assert found == pytest.approx(expected.numpy(), abs=1e-4)
+    assert found.std() > 0.01
+
+
 @pytest.mark.parametrize(
     "shape",
     [SMALL, replace(SMALL, memory=0, history=30), replace(SMALL, sees="rgb_mask"),
      replace(SMALL, sees="mask")],
 )  # fmt: skip
 def test_a_policy_flies_as_its_network_does(shape, rng):
-    """Three steps of the network in evaluation, with running statistics of its own."""
-    network = PolicyNetwork(shape, auxiliary=3)
-    for unit in network.units:
-        torch.nn.init.normal_(unit.norm.running_mean)
-        torch.nn.init.uniform_(unit.norm.running_var, 0.5, 2.0)
-        torch.nn.init.normal_(unit.norm.bias)
-    network.eval()
+    """Three steps of the network in evaluation, which is given the image, its mask, or both."""
+    network, finder = shaken(PolicyNetwork(shape, auxiliary=3)), shaken(MaskNetwork())
     weights = {name: w.numpy() for name, w in network.weights().items()}
+    if shape.sees != "rgb":
+        weights |= {name: w.numpy() for name, w in finder.weights().items()}
     policy = Policy(weights, PolicyRecord(asdict(shape), "landing", 0.62))
-    images = rng.random((3, 24, 32, policy.channels)).astype(np.float32)
+    images = rng.random((3, 24, 32, 3)).astype(np.float32)
     past = rng.normal(size=(3, 30, 4))
     inputs = policy_inputs(past, np.array([0.0, 0.05, np.nan]), (0.2, 0.0, 0.0), shape.history)
     with torch.no_grad():
-        features = network.encode(torch.tensor(images).permute(0, 3, 1, 2))
+        seen = torch.tensor(images).permute(0, 3, 1, 2)
+        masks = torch.sigmoid(finder(seen))[:, None]
+        seen = {"rgb": seen, "mask": masks, "rgb_mask": torch.cat([seen, masks], 1)}[shape.sees]
+        features = network.encode(seen)
         expected, *_ = network(features[None], torch.tensor(inputs)[None])
     memory = policy.start_memory()
     for k in range(3):

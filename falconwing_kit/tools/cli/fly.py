@@ -396,7 +396,7 @@ def make_pilot(fly: Fly, task: Any, model: "Model | None") -> "Callable[[TrialSe
     pilot = load_pilot(
         fly.pilot, fly.task, _trained_scene(fly._scene), fly._setting().camera,
         task.airframe.p_body_camera, model=model or task.model, airframe=task.airframe,
-        pad=task.pad, weights=fly.weights,
+        pad=getattr(task, "pad", None), weights=fly.weights,
     )  # fmt: skip
 
     def make(trial: "TrialSetup") -> "Pilot":

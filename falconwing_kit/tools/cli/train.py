@@ -6,7 +6,8 @@ from typing import Any, Literal
 
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 
-WEIGHTS, CURVE, RECORD = "policy.safetensors", "curve.png", "training.json"  # in --out
+CURVE, RECORD = "curve.png", "training.json"  # in --out
+PILOTS = ("student", "rgb", "mask", "rgb_mask")
 STATE = "state.safetensors"  # of an interrupted training
 HEADERS = ("round", "time [s]", "flights", "images", "steps", "loss", "success")
 
@@ -21,11 +22,13 @@ class Train:
     """
 
     out: Path
-    """folder for policy.safetensors, training.json and curve.png"""
+    """folder for the weights (policy.safetensors, or one of each pilot), training.json and
+    curve.png"""
     task: Literal["landing", "follow"] = "landing"
     """what the policy does"""
-    pilot: Literal["student", "rgb"] = "student"
-    """student: with a memory; rgb: one image and the past 30 commands, as in the paper"""
+    pilot: str = "student"
+    """student: with a memory; rgb, mask, rgb_mask: one image, the leader's mask found in it, or
+    both, and the past 30 commands, as in the paper; several separated by commas share flights"""
     scene: str = "hall"
     """the hall: a name that ships, or a scene file"""
     size: str = "160x120"
@@ -65,6 +68,12 @@ class Train:
 
         limits = {"minutes": (0.01, 1e4), "flights": (2, 1e5), "rounds": (1, 1e4),
                   "batch": (1, 1e4), "workers": (0, 256), "seed": (0, 99)}  # fmt: skip
+        for name in self.pilots:
+            if name not in PILOTS or (self.task == "landing" and "mask" in name):
+                known = PILOTS if self.task == "follow" else PILOTS[:2]
+                raise InputError(
+                    f"--pilot: expected {' or '.join(known)} for {self.task}, got {name!r}"
+                )
         for name, (low, high) in limits.items():
             require_range(f"--{name}", getattr(self, name), low=low, high=high)
         try:
@@ -93,9 +102,18 @@ class Train:
         rows = [[r[key] for key in ("round", "s", "flights", "images", "steps", "loss", "success")]
                 for r in rounds]  # fmt: skip
         print_table(HEADERS, rows, title=f"SIMULATED: {self.task} by {self.pilot}, imitated")
-        weights = self.out / WEIGHTS
-        next_line(f"falconwing fly --task {self.task} --pilot {self.pilot} --weights {weights}")
+        weights = self.out / self.weights(self.pilots[0])
+        next_line(f"falconwing fly --task {self.task} --pilot {self.pilots[0]} --weights {weights}")
         return 0
+
+    @property
+    def pilots(self) -> tuple[str, ...]:
+        """The names in --pilot, each once."""
+        return tuple(dict.fromkeys(self.pilot.split(",")))
+
+    def weights(self, name: str) -> str:
+        """Name of a pilot's file in --out."""
+        return "policy.safetensors" if len(self.pilots) == 1 else f"policy_{name}.safetensors"
 
 
 def settings_record(train: Train) -> dict[str, Any]:

@@ -1,6 +1,7 @@
-"""Training of a policy from the command line: options -> weights, record and learning curve."""
+"""Training of policies from the command line: options -> weights, record and learning curve."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,17 +11,29 @@ from tqdm import tqdm
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.flight.sources import fpv_camera
-from falconwing_kit.learning.flights import Fleet
-from falconwing_kit.learning.imitation import Learner, Schedule, imitate, save_policy
+from falconwing_kit.learning.flights import PAST, Fleet
+from falconwing_kit.learning.imitation import imitate
+from falconwing_kit.learning.learner import (
+    Learner,
+    MaskLearner,
+    Schedule,
+    load_state,
+    save_policy,
+    save_state,
+)
 from falconwing_kit.learning.policy_views import PolicyViews
-from falconwing_kit.learning.situations import NOMINAL, SPREAD_RANGES
+from falconwing_kit.learning.situations import FOLLOW_RANGES, NOMINAL, SPREAD_RANGES
 from falconwing_kit.scene.arena import load_scene
+from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.tools.cli.scene_input import open_scene, parse_size
-from falconwing_kit.tools.cli.train import CURVE, RECORD, STATE, WEIGHTS, settings_record
+from falconwing_kit.tools.cli.train import CURVE, RECORD, STATE, settings_record
 from falconwing_kit.vision.policy import PolicyShape
 
 if TYPE_CHECKING:
     from falconwing_kit.tools.cli.train import Train
+
+# what is to be seen of a leader is small: its place and attitude are taught beside the commands
+FOLLOW_MEMORY_LOSS, FOLLOW_IMAGE_LOSS = 0.4, 0.6
 
 
 def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
@@ -33,9 +46,6 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
         InputError: the folder holds a training with other options.
     """
     camera = fpv_camera(*parse_size(options.size))
-    shape = PolicyShape(camera.width, camera.height)
-    if options.pilot == "rgb":
-        shape = replace(shape, memory=0, history=30)
     options.out.mkdir(parents=True, exist_ok=True)
     settings, rounds = settings_record(options), _rounds_before(options)
     used = rounds[-1]["s"] / 60.0 if rounds else 0.0
@@ -46,11 +56,15 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
         minutes=left, flights=options.flights, rounds=options.rounds, batch=options.batch,
         rate=options.rate, seed=options.seed + 100 * len(rounds),
     )  # fmt: skip
-    learner = Learner(shape, schedule, device)
+    if options.task == "follow":
+        schedule = replace(schedule, memory_loss=FOLLOW_MEMORY_LOSS, image_loss=FOLLOW_IMAGE_LOSS)
     state = options.out / STATE
-    if rounds and state.is_file():
-        learner.load_state(state)
-        learner.schedule = replace(schedule, mixing=())
+    goes_on = bool(rounds) and state.is_file()
+    if goes_on:
+        schedule = replace(schedule, mixing=())
+    learners = make_learners(options.pilots, options.task, camera, schedule, device)
+    if goes_on:
+        load_state(learners, state)
     leader = load_scene("leader") if options.task == "follow" else None
     backend = "gsplat" if device == "cuda" else "fast"
     views = PolicyViews(open_scene(options.scene), leader, camera, backend, device)
@@ -62,21 +76,41 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
         bar.set_postfix(loss=f"{record['loss']:.3f}", success=f"{record['success']:.0%}")
         shifted = {"round": record["round"] + number, "s": record["s"] + 60.0 * used}
         rounds.append(record | shifted)
-        learner.save_state(state)
+        save_state(learners, state)
         _write(options.out / RECORD, {"settings": settings, "rounds": rounds})
 
     number = len(rounds)
     try:
-        ranges = NOMINAL if options.nominal else SPREAD_RANGES
-        imitate(learner, views, fleets, options.task, ranges, log)
+        spread = FOLLOW_RANGES if options.task == "follow" else SPREAD_RANGES
+        ranges = NOMINAL if options.nominal else spread
+        imitate(learners, views, fleets, options.task, ranges, log)
     finally:
         bar.close()
         for fleet in fleets:
             fleet.close()
-    save_policy(learner, options.out / WEIGHTS, options.task, camera)
+    for learner in learners:
+        save_policy(learner, options.out / options.weights(learner.name), options.task, camera)
     state.unlink(missing_ok=True)
     draw_curve(rounds, options.out / CURVE)
     return rounds
+
+
+def make_learners(
+    names: Sequence[str], task: str, camera: PinholeCamera, schedule: Schedule, device: str
+) -> list[Learner]:
+    """Fresh learners of pilots by their names; those that see masks share one network for them."""
+    base = PolicyShape(camera.width, camera.height)
+    masks = MaskLearner(schedule, device) if task == "follow" else None
+    learners = []
+    for name in names:
+        # the paper's policies see one image and the past 30 commands; the student has a memory
+        if name != "student":
+            shape = replace(base, memory=0, history=PAST, sees=name)
+        else:
+            shape = replace(base, sees="rgb_mask" if task == "follow" else "rgb")
+        finder = None if shape.sees == "rgb" else masks
+        learners.append(Learner(shape, schedule, device, name, finder))
+    return learners
 
 
 def _rounds_before(options: "Train") -> list[dict[str, float]]:

@@ -1,0 +1,73 @@
+"""Layers of small networks in NumPy, each the same as PyTorch's; images are (C, h, w)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array32 = NDArray[np.float32]
+
+SMALLEST_DEVIATION = 0.02  # an image with less contrast is not amplified
+
+
+def standardise(image: Array32) -> Array32:
+    """An image (h, w, C) with mean 0 and standard deviation 1 over its colours; a mask stays."""
+    colours = image[..., :3] if image.shape[-1] >= 3 else image[..., :0]
+    if colours.size == 0:
+        return image
+    deviation = max(float(colours.std()), SMALLEST_DEVIATION)
+    scaled = (colours - colours.mean()) / np.float32(deviation)
+    return np.concatenate([scaled, image[..., 3:]], axis=-1)
+
+
+def convolve(x: Array32, weight: Array32, stride: int) -> Array32:
+    """Cross-correlation with zeros around, as in PyTorch: (C, h, w) -> (D, h / s, w / s).
+
+    The windows become the columns of a matrix, so that one matrix product does the work (im2col).
+
+    Args:
+        x: (C, h, w).
+        weight: (D, C, k, k), k odd.
+        stride: s.
+    """
+    (channels, rows, columns), k = x.shape, weight.shape[-1]
+    if k > 1:
+        x = np.pad(x, ((0, 0), (k // 2, k // 2), (k // 2, k // 2)))
+    windows = np.lib.stride_tricks.sliding_window_view(x, (k, k), axis=(1, 2))
+    windows = windows[:, ::stride, ::stride]
+    rows, columns = windows.shape[1:3]
+    matrix = windows.transpose(0, 3, 4, 1, 2).reshape(channels * k * k, rows * columns)
+    return np.asarray(weight.reshape(len(weight), -1) @ matrix).reshape(-1, rows, columns)
+
+
+def double(x: Array32, rows: int, columns: int) -> Array32:
+    """(C, h, w) with each pixel four times, cut to (C, rows, columns)."""
+    return x.repeat(2, axis=1).repeat(2, axis=2)[:, :rows, :columns]
+
+
+def layer_norm(x: Array32, smallest: float = 1e-5) -> Array32:
+    """x (F,) with mean 0 and variance 1 [Ba, Kiros & Hinton 2016, eq. 4, without gain]."""
+    centred = x - x.mean()
+    return np.asarray(centred / np.sqrt((centred**2).mean() + np.float32(smallest)))
+
+
+def gated_recurrent_unit(
+    x: Array32, h: Array32, W_x: Array32, W_h: Array32, b_x: Array32, b_h: Array32
+) -> Array32:
+    """The next memory of a gated recurrent unit [Cho et al. 2014, eq. 5 to 8].
+
+    r = sigmoid(W_xr x + W_hr h), z = sigmoid(W_xz x + W_hz h), n = tanh(W_xn x + r (W_hn h)),
+    h' = (1 - z) n + z h; each product has a bias.
+
+    Args:
+        x: (I,).
+        h: (M,) memory.
+        W_x, W_h: (3 M, I) and (3 M, M), the rows of r, z, n.
+        b_x, b_h: (3 M,).
+    """
+    (xr, xz, xn), (hr, hz, hn) = np.split(W_x @ x + b_x, 3), np.split(W_h @ h + b_h, 3)
+    r, z = sigmoid(xr + hr), sigmoid(xz + hz)
+    return np.asarray((1.0 - z) * np.tanh(xn + r * hn) + z * h, np.float32)
+
+
+def sigmoid(x: Array32) -> Array32:
+    """1 / (1 + exp(-x)), without overflow."""
+    return np.asarray(0.5 + 0.5 * np.tanh(0.5 * x))
