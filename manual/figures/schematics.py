@@ -133,7 +133,7 @@ def draw_aircraft(path: Path) -> str:
     }  # behind the leading edge [mm]
     added = {
         "camera, bracket": (place["camera_analog"], -1000.0 * frame.p_body_camera[2], (-120, 88)),
-        "filter and wires": ((place["filter_inductor"] + place["wires"]) / 2.0, 0, (-200, 62)),
+        "filter and wires": ((place["filter_inductor"] + place["wires"]) / 2.0, 0, (-155, 64)),
         "battery": (place["battery"], 0, (-30, -75)),
         "receiver, inside": (30.0, 0, (60, -75)),  # the list gives it no place
     }
@@ -141,6 +141,8 @@ def draw_aircraft(path: Path) -> str:
         side, top = axes.flat
         from_the_side(side, chord, frame)
         from_above(top, chord, span, frame)
+        lens = place["camera_analog"]
+        side.plot([lens, lens], [58, -1000.0 * frame.p_body_camera[2]], color=DARK, lw=1.0)
         for text, (x, y, at) in added.items():
             side.plot(x, y, "s", ms=7, color=DARK)
             pointed_at(side, text, (x, y), at)
@@ -151,8 +153,8 @@ def draw_aircraft(path: Path) -> str:
         are schematic, places along the fuselage are those of the list of parts, partly estimates.
         Above the wing, the lens flush with its leading edge, sit camera and bracket; ahead of them
         filter and wires; the battery in its hatch ahead of the wing; the receiver inside. Seen from
-        above: {span / 10:.0f} cm of wing with ailerons outside and flaps inside, elevator at the tail;
-        the rudder stands on the fin. With all parts on the balance is {cg:.0f} mm behind the
+        above: {span / 10:.0f} cm of wing with ailerons outside and flaps inside, elevator at the
+        tail; the rudder stands on the fin. With all parts on the balance is {cg:.0f} mm behind the
         wing's leading edge."""
 
 
