@@ -115,8 +115,8 @@ class Fly:
     """of the camera's image [px]"""
     camera_at: str = ""
     """place of the camera on the aircraft, x,y,z in body axes (nose, right, down) in metres;
-    0.036,0,-0.075 is that of the builder's aircraft, above the wing; if not given 0.20,0,0, that of
-    the kit's recordings
+    0.036,0,-0.075 is that of the builder's aircraft, above the wing, and the default with --source
+    camera; in simulation that of the kit's recordings, 0.20,0,0
     """
     source: Literal["sim", "camera"] = "sim"
     """source of images; camera with the --port of a real aircraft"""
