@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.airframe import load_airframe
+from falconwing_kit.aircraft.airframe import builder_airframe_path, load_airframe
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write, write_figures
 from falconwing_kit.tools.hardware.cameras import load_camera
@@ -82,7 +82,8 @@ def draw_balance(path: Path) -> str:
     Returns:
         The description.
     """
-    items, chord_mm = load_parts(), 1000.0 * load_airframe().mean_chord
+    items, airframe = load_parts(), load_airframe(builder_airframe_path())
+    chord_mm = 1000.0 * airframe.mean_chord
     cg_mm, flying = 1000.0 * roll_up(items).x_cg, [item for item in items if item.counts]
     bought_mm = next(1000.0 * (item.x or 0.0) for item in items if item.id == "airframe")
     figure, axes = _figure(6.4, 2.9)
@@ -99,6 +100,10 @@ def draw_balance(path: Path) -> str:
         axes.plot([x_mm, x_mm], [0.0, level], color=LIGHT, linewidth=0.8)
         axes.plot(x_mm, 0.0, "s", color=DARK, markersize=4)
         axes.text(x_mm, level, "; ".join(names), va="bottom", fontsize=8.5)
+    if airframe.propeller is not None and airframe.x_leading_edge is not None:
+        disc_mm = 1000.0 * (airframe.x_leading_edge - airframe.propeller.x)
+        axes.plot([disc_mm, disc_mm], [-0.9, 0.9], color=DARK, linewidth=1.0, linestyle=":")
+        axes.text(disc_mm, 1.0, "propeller", ha="center", fontsize=8.5)
     marks = (
         (bought_mm, f"as bought, {bought_mm:.0f} mm"),
         (cg_mm, f"all on, {cg_mm:.0f} mm"),
@@ -122,11 +127,12 @@ def draw_balance(path: Path) -> str:
     )
     axes.spines["left"].set_visible(False)
     _save(figure, path)
+    listed = "; ".join(f"{x_mm:.0f} {', '.join(names)}" for x_mm, names in sorted(places.items()))
     text = f"""The aircraft from its left side, to scale along the fuselage; masses and places are
         partly estimates. The wing reaches from 0 to {chord_mm:.0f} mm. As bought, {bought_mm:.0f}
-        mm behind its leading edge, the aircraft is in balance. Camera and screws sit 164 mm ahead
-        of the leading edge, bracket and tape 160 mm, wires and filter between. With all of them
-        on, the centre of gravity is at {cg_mm:.0f} mm."""
+        mm behind its leading edge, the aircraft is in balance. Behind the leading edge,
+        ahead of it negative [mm]: {listed}. With all of them on, the centre of gravity is at
+        {cg_mm:.0f} mm."""
     return " ".join(text.split())
 
 

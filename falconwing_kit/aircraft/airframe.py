@@ -66,6 +66,18 @@ class Wheels:
 
 
 @dataclass(frozen=True)
+class Propeller:
+    """The disc that the blades sweep: a circle across the body's x axis."""
+
+    x: float  # of its plane, in body axes [m]
+    diameter: float  # [m]
+
+    def __post_init__(self) -> None:
+        require_range("propeller x", self.x)
+        _require_positive(self, "diameter", of=" of the propeller")
+
+
+@dataclass(frozen=True)
 class Inertia:
     """Moments of inertia about the centre of gravity in body axes [kg m^2]."""
 
@@ -97,17 +109,26 @@ class Airframe:
     length: float  # [m]
     air_density: float  # rho [kg/m^3], of the air it flies in
     bank_limit: float  # [rad], largest bank of a planned turn
-    p_body_camera: Point  # position of the camera [m]
+    p_body_camera: Point  # position of the camera, the front of its lens [m]
+    p_body_nose: Point  # foremost point of the aircraft, the tip of its spinner [m]
     parts: tuple[AirframePart, ...]
     aero: Aero
     wheels: Wheels
     inertia: Inertia
+    propeller: Propeller | None = None  # None where the file has none
+    x_leading_edge: float | None = (
+        None  # the wing's at its root, in body axes [m]; zero of a parts list
+    )
     scaled: tuple[str, ...] = ()  # keys taken from the kit's own airframe, scaled: not measured
     contradictions: tuple[str, ...] = ()  # why entries of the file were set aside, a sentence each
 
     def __post_init__(self) -> None:
         _require_positive(self, "mass", "wing_area", "span", "length", "air_density")
-        _require_finite_points(self, "p_body_camera")
+        _require_finite_points(self, "p_body_camera", "p_body_nose")
+        if self.x_leading_edge is not None:
+            require_range(
+                "leading_edge_x_m", self.x_leading_edge, low=-self.length, high=self.length
+            )
         if not 0.0 < self.bank_limit < math.pi / 2:
             raise InputError(
                 "bank limit: expected an angle between 0 and 90 deg, got"
@@ -132,8 +153,8 @@ class Airframe:
 
     @property
     def corners_body(self) -> Array:
-        """Nose (with the camera), tail and wing tips (4, 3) in body axes [m]; without the fin."""
-        nose, tip = self.p_body_camera[0], self.span / 2.0
+        """Nose, tail and wing tips (4, 3) in body axes [m]; without the fin."""
+        nose, tip = self.p_body_nose[0], self.span / 2.0
         return np.array(
             [(nose, 0.0, 0.0), (nose - self.length, 0.0, 0.0), (0.0, tip, 0.0), (0.0, -tip, 0.0)]
         )
@@ -176,6 +197,16 @@ class _InertiaTable:
 
 
 @dataclass(frozen=True)
+class _PropellerTable:
+    x_m: float
+    diameter_m: float
+
+    @property
+    def record(self) -> Propeller:
+        return Propeller(self.x_m, self.diameter_m)
+
+
+@dataclass(frozen=True)
 class _AirframeFile:
     """The keys of the file, each with its unit; three are required."""
 
@@ -187,6 +218,9 @@ class _AirframeFile:
     air_density_kg_m3: float | None = None
     bank_limit_deg: float | None = None
     p_body_camera_m: Point | None = None
+    p_body_nose_m: Point | None = None
+    leading_edge_x_m: float | None = None
+    propeller: _PropellerTable | None = None
     parts: tuple[_PartRow, ...] = ()
     aero: _AeroTable = field(default_factory=_AeroTable)
     wheels_m: _WheelsTable = field(default_factory=_WheelsTable)
@@ -205,6 +239,7 @@ class _KitFile:
     air_density_kg_m3: float
     bank_limit_deg: float
     p_body_camera_m: Point
+    p_body_nose_m: Point
     parts: tuple[_PartRow, ...]
     aero: Aero
     wheels_m: Wheels
@@ -307,10 +342,12 @@ def _complete(file: _AirframeFile, name: str) -> Airframe:
         contradiction = _why_impossible(inertia, file.mass_g / 1000.0, file.span_m, length)
     if contradiction:
         inertia_table, inertia = _InertiaTable(), similar
-    plain = ("length_m", "air_density_kg_m3", "bank_limit_deg", "p_body_camera_m")
+    plain = (
+        "length_m", "air_density_kg_m3", "bank_limit_deg", "p_body_camera_m", "p_body_nose_m"
+    )  # fmt: skip
     tables = {"aero": file.aero, "wheels_m": file.wheels_m, "inertia_kg_m2": inertia_table}
-    density, bank_deg, p_body_camera = (
-        file.air_density_kg_m3, file.bank_limit_deg, file.p_body_camera_m
+    density, bank_deg, p_body_camera, p_body_nose = (
+        file.air_density_kg_m3, file.bank_limit_deg, file.p_body_camera_m, file.p_body_nose_m
     )  # fmt: skip
     return Airframe(
         name=name,
@@ -321,6 +358,9 @@ def _complete(file: _AirframeFile, name: str) -> Airframe:
         air_density=kit.air_density_kg_m3 if density is None else density,
         bank_limit=math.radians(kit.bank_limit_deg if bank_deg is None else bank_deg),
         p_body_camera=resize(kit.p_body_camera_m) if p_body_camera is None else p_body_camera,
+        p_body_nose=resize(kit.p_body_nose_m) if p_body_nose is None else p_body_nose,
+        propeller=None if file.propeller is None else file.propeller.record,
+        x_leading_edge=file.leading_edge_x_m,
         parts=tuple(AirframePart(row.name, row.mass_g / 1000.0, row.inside) for row in file.parts),
         aero=_record("aero", Aero, aero),
         wheels=_record("wheels_m", Wheels, wheels),
@@ -395,6 +435,15 @@ def _why_impossible(inertia: Mapping[str, float], mass: float, span: float, leng
 def _is_solid(Ixx: float, Iyy: float, Izz: float, Ixz: float) -> bool:
     """Whether a body can have these moments: none above the sum of the others, Ixz small enough."""
     return 2.0 * max(Ixx, Iyy, Izz) <= Ixx + Iyy + Izz and Ixz**2 < Ixx * Izz
+
+
+def builder_airframe_path() -> Path:
+    """The file of the aircraft that the builder's book builds, its camera above the wing.
+
+    Raises:
+        FileNotFoundError: it is neither in the checkout nor in the installation.
+    """
+    return shipped_path("hardware/airframe_builder.toml", "name one (falconwing: --airframe FILE)")
 
 
 def default_airframe_path() -> Path:

@@ -12,7 +12,7 @@ COHORT: dict[str, float] = json.loads(
 
 GRAVITY = 9.8  # [m/s^2], paper, Appendix
 WING_AREA = 0.076  # S [m^2], paper, Appendix
-LIFT_COEFFICIENT = 0.6  # C [-], the largest one, paper, Appendix
+LIFT_COEFFICIENT = 0.6  # C [-], design value, paper, Appendix; not the stall
 SPAN = 0.70  # b [m], paper, hardware section
 PAPER_AIR_DENSITY = 1.3  # rho [kg/m^3], paper, Appendix
 PRESSURE = 101325.0  # p [Pa], air at sea level
@@ -23,8 +23,8 @@ AIR_GAS_CONSTANT = 287.05  # R [J/(kg K)], dry air
 PARTS = [
     ("airframe", 1, 137.0, 36.0, ""),
     ("receiver", 1, 13.5, 36.0, "airframe"),
-    ("camera", 1, 9.0, -164.0, ""),
-    ("bracket", 1, 5.0, -160.0, ""),
+    ("camera", 1, 9.0, 12.0, ""),
+    ("bracket", 1, 5.0, 16.0, ""),
 ]
 
 BLUE, ORANGE, GREEN = (

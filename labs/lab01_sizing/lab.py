@@ -87,8 +87,10 @@ print(f"with the computer: {total:.1f} g, balanced {x_cg:.0f} mm behind the lead
 #
 # ## 2 The slowest flight
 # The wing lifts $L = \tfrac12 \rho V^2 S C$: air density $\rho$ [kg/m³], speed $V$ [m/s], wing area $S$ [m²], and
-# the lift coefficient $C$, which has a largest value; beyond it the wing stalls. In straight flight the lift carries
-# the weight, $L = m g$. Slowest is where $C$ is largest:
+# the lift coefficient $C$, which grows with the angle of attack until the wing stalls. In straight flight the lift carries
+# the weight, $L = m g$. The paper's appendix sizes the aircraft with $C = 0.6$: a **design value** with a reserve,
+# not the stall. With its flaps down such a wing may reach 1.0 to 1.5 (an estimate; this one has not been measured).
+# *Slowest* here is the speed at the design value:
 #
 # $$\tfrac12 \rho V_\mathrm{min}^2 S C = m g$$
 #

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from falconwing_kit.aircraft.airframe import load_airframe
+from falconwing_kit.aircraft.airframe import Airframe, builder_airframe_path, load_airframe
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.control.guidance import Hall
 from falconwing_kit.core.files import atomic_write
@@ -126,21 +126,23 @@ def draw_loop(path: Path) -> str:
 
 def draw_aircraft(path: Path) -> str:
     """Draw the positions of the added parts, from the left side and from above."""
-    frame, items = load_airframe(), load_parts()
+    frame, items = load_airframe(builder_airframe_path()), load_parts()
     cg, span, chord = 1000.0 * roll_up(items).x_cg, 1000.0 * frame.span, 1000.0 * frame.mean_chord
     place = {
         item.id: 1000.0 * item.x for item in items if item.x is not None
     }  # behind the leading edge [mm]
     added = {
-        "camera, bracket": (place["camera_analog"], 31, (-232, 90)),
-        "filter and wires": ((place["filter_inductor"] + place["wires"]) / 2.0, 0, (-80, 90)),
+        "camera, bracket": (place["camera_analog"], -1000.0 * frame.p_body_camera[2], (-120, 88)),
+        "filter and wires": ((place["filter_inductor"] + place["wires"]) / 2.0, 0, (-155, 64)),
         "battery": (place["battery"], 0, (-30, -75)),
         "receiver, inside": (30.0, 0, (60, -75)),  # the list gives it no place
     }
     with drawing(path, 6.6, 4.6, 2, 1, height_ratios=[1.0, 2.0]) as axes:
         side, top = axes.flat
-        from_the_side(side, chord)
-        from_above(top, chord, span)
+        from_the_side(side, chord, frame)
+        from_above(top, chord, span, frame)
+        lens = place["camera_analog"]
+        side.plot([lens, lens], [58, -1000.0 * frame.p_body_camera[2]], color=DARK, lw=1.0)
         for text, (x, y, at) in added.items():
             side.plot(x, y, "s", ms=7, color=DARK)
             pointed_at(side, text, (x, y), at)
@@ -149,43 +151,53 @@ def draw_aircraft(path: Path) -> str:
         pointed_at(top, "balance with\nall parts on", (cg, 0), (-232, 300))
     return f"""The aircraft, drawn from the left side and from above, nose to the left; outlines
         are schematic, places along the fuselage are those of the list of parts, partly estimates.
-        On the nose, behind the propeller, sit camera and bracket; behind them filter and wires;
-        the battery in its hatch ahead of the wing; the receiver inside. Seen from above:
-        {span / 10:.0f} cm of wing with ailerons outside and flaps inside, elevator at the tail;
-        the rudder stands on the fin. With all parts on the balance is {cg:.0f} mm behind the
+        Above the wing, the lens flush with its leading edge, sit camera and bracket; ahead of them
+        filter and wires; the battery in its hatch ahead of the wing; the receiver inside. Seen from
+        above: {span / 10:.0f} cm of wing with ailerons outside and flaps inside, elevator at the
+        tail; the rudder stands on the fin. With all parts on the balance is {cg:.0f} mm behind the
         wing's leading edge."""
 
 
-def from_the_side(ax: Any, chord: float) -> None:
-    """Fuselage, wing [mm], fin, wheels and propeller, seen from the left."""
-    bare(ax, (-235.0, 385.0), (-95.0, 105.0))
+def ends_of(frame: Airframe) -> tuple[float, float]:
+    """Spinner's tip and tail [mm behind the leading edge]."""
+    nose = 1000.0 * ((frame.x_leading_edge or 0.0) - frame.p_body_nose[0])
+    return nose, nose + 1000.0 * frame.length
+
+
+def from_the_side(ax: Any, chord: float, frame: Airframe) -> None:
+    """Fuselage, wing [mm], fin, wheels, propeller and its disc, seen from the left."""
+    (nose, tail), cowl = ends_of(frame), ends_of(frame)[0] + 10
+    radius = 500.0 * (frame.propeller.diameter if frame.propeller else 0.0)
+    bare(ax, (-235.0, 395.0), (-95.0, 105.0))
     ax.fill(
-        [-182, -150, -30, 120, 345, 345, 120, -140, -182],
+        [cowl, cowl + 20, -30, 120, tail, tail, 120, cowl + 25, cowl],
         [-8, 25, 42, 34, 16, 4, -34, -34, -22],
         PALE,
         ec=DARK,
     )
-    ax.fill([0, chord, chord, 0], [42, 42, 49, 51], LIGHT, ec=DARK)
-    ax.fill([285, 345, 345, 315], [16, 16, 80, 80], PALE, ec=DARK)
-    ax.plot([-187, -187], [-62, 58], color=DARK, lw=1.0, ls=":")
+    ax.fill([nose, cowl, cowl], [0, 9, -9], "white", ec=DARK)
+    ax.fill([0, chord, chord, 0], [42, 42, 53, 58], LIGHT, ec=DARK)
+    ax.fill([tail - 60, tail, tail, tail - 30], [16, 16, 80, 80], PALE, ec=DARK)
+    ax.plot([nose, nose], [-radius, radius], color=DARK, lw=1.0, ls=":")
     for x, y, size in ((-50, -80, 13), (330, -10, 6)):
         ax.plot(x, y, "o", ms=size, mfc="white", mec=DARK)
     ax.plot([-35, -50], [-34, -74], color=DARK, lw=1.0)
-    ax.text(352, 55, "rudder", va="center", fontsize=8.5)
-    pointed_at(ax, "propeller", (-187, -55), (-232, -92))
+    ax.text(tail + 7, 55, "rudder", va="center", fontsize=8.5)
+    pointed_at(ax, "propeller", (nose, -0.8 * radius), (-232, -92))
 
 
-def from_above(ax: Any, chord: float, span: float) -> None:
+def from_above(ax: Any, chord: float, span: float, frame: Airframe) -> None:
     """Fuselage, wing [mm], tail and their surfaces."""
-    bare(ax, (-235.0, 385.0), (-385.0, 385.0))
+    nose, tail = ends_of(frame)
+    bare(ax, (-235.0, 395.0), (-385.0, 385.0))
     ax.fill(
-        [-182, -170, -30, 345, 345, -30, -170, -182],
+        [nose, nose + 12, -30, tail, tail, -30, nose + 12, nose],
         [-12, -26, -32, -8, 8, 32, 26, 12],
         PALE,
         ec=DARK,
     )
     ax.fill([0, chord, chord, 0], [-span / 2, -span / 2, span / 2, span / 2], "white", ec=DARK)
-    ax.fill([280, 345, 345, 280], [-115, -115, 115, 115], "white", ec=DARK)
+    ax.fill([tail - 65, tail, tail, tail - 65], [-115, -115, 115, 115], "white", ec=DARK)
     for low, high, text in (
         (190, 335, "aileron"),
         (40, 185, "flap"),
@@ -196,7 +208,7 @@ def from_above(ax: Any, chord: float, span: float) -> None:
             [chord - 25, chord, chord, chord - 25], [low, low, high, high], LIGHT, ec=DARK, lw=0.8
         )
         ax.text(chord + 8, (low + high) / 2, text, va="center", fontsize=8.5)
-    ax.text(352, 60, "elevator", va="center", fontsize=8.5)
+    ax.text(tail + 7, 60, "elevator", va="center", fontsize=8.5)
     ax.annotate(
         "", (-22, span / 2), (-22, -span / 2), arrowprops={"arrowstyle": "<->", "color": MIDDLE}
     )

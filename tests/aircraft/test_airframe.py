@@ -157,7 +157,7 @@ def test_what_was_scaled_is_named_in_one_line(tmp_path):
     some = THREE | {"name": "Twin", "length_m": 1.1, "aero": {"CL_max": 0.8}}
     airframe = load(some, tmp_path)
     assert airframe.scaled == (
-        "air_density_kg_m3", "bank_limit_deg", "p_body_camera_m",
+        "air_density_kg_m3", "bank_limit_deg", "p_body_camera_m", "p_body_nose_m",
         "aero.CL0", "aero.CLa", "aero.CD0", "aero.k", "wheels_m", "inertia_kg_m2",
     )  # fmt: skip
     assert (airframe.aero.CL_max, airframe.length) == (0.8, 1.1)

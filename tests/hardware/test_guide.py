@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from falconwing_kit.aircraft.airframe import builder_airframe_path, load_airframe
+from falconwing_kit.aircraft.sizing import largest_mass
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.tools.hardware.cameras import load_camera
 from falconwing_kit.tools.hardware.parts import balance_move, load_parts, roll_up
@@ -47,13 +49,26 @@ def test_files_of_the_table_are_there():
 
 def test_numbers_are_those_of_the_list():
     """Mass, shift and move as printed, to the printed digit, from the list of parts."""
-    items = load_parts()
+    items, built = load_parts(), load_airframe(builder_airframe_path())
     whole, bought = roll_up(items), next(item.x for item in items if item.id == "airframe")
-    assert f"{1000.0 * whole.mass:.1f} g with filter" in GUIDE
-    assert f"centre of gravity {1000.0 * (bought - whole.x_cg):.0f} mm forward" in GUIDE
-    assert (
-        f"would have to move {1000.0 * balance_move(items, 'battery', bought):.0f} mm back" in GUIDE
+    text = " ".join(GUIDE.split())
+    assert f"{1000.0 * whole.mass:.1f} g with filter" in text
+    assert f"move the centre of gravity {1000.0 * (bought - whole.x_cg):.0f} mm forward" in text
+    assert f"to {1000.0 * whole.x_cg:.1f} mm behind the leading edge" in text
+    back = 1000.0 * balance_move(items, "battery", bought)
+    assert f"Moving the battery {back:.0f} mm back" in text
+    limits = (
+        largest_mass(27.0, built, margin=2.0, hold_height=True),
+        largest_mass(20.0, built, hold_height=True),
+        largest_mass(20.0, built),
     )
+    for limit, words in zip(
+        limits, ("at most {} g", "allows {} g", "{} g by the paper's"), strict=True
+    ):
+        assert words.format(f"{1000.0 * float(limit):.1f}") in text
+    behind = 1000.0 * (built.propeller.x - built.p_body_camera[0])
+    above = -1000.0 * built.p_body_camera[2]
+    assert f"{above:.0f} mm above the propeller's axis and {behind:.0f} mm behind its disc" in text
     assert whole.cost == pytest.approx(1000.0, abs=50.0) and "about 1,000 US dollars" in GUIDE
 
 

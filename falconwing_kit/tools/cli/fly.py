@@ -113,6 +113,11 @@ class Fly:
     """
     size: str = "320x240"
     """of the camera's image [px]"""
+    camera_at: str = ""
+    """place of the camera on the aircraft, x,y,z in body axes (nose, right, down) in metres;
+    0.036,0,-0.075 is that of the builder's aircraft, above the wing, and the default with --source
+    camera; in simulation that of the kit's recordings, 0.20,0,0
+    """
     source: Literal["sim", "camera"] = "sim"
     """source of images; camera with the --port of a real aircraft"""
     port: str = ""
@@ -241,6 +246,11 @@ class Fly:
                 "leave one of them out"
             )
         task = self._drawn_task()
+        if self.camera_at:
+            from falconwing_kit.tools.cli.scene_input import parse_place
+
+            place = parse_place("--camera-at", self.camera_at)
+            task = replace(task, airframe=replace(task.airframe, p_body_camera=place))
         if (bench := self._measured) is not None:
             task = replace(task, model=bench.with_delay(task.model, bool(self.port)))
         return replace(task, start=_start(self.start, task)) if self.start else task

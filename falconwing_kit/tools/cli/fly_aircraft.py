@@ -4,6 +4,7 @@ The same loop and supervisor as in simulation; only camera, board and clock are 
 the radio and its trainer switch, which always takes the aircraft back.
 """
 
+import json
 import sys
 import time
 from collections.abc import Mapping
@@ -45,13 +46,17 @@ def fly_aircraft(fly: "Fly") -> int:
         InputError: an option is wrong, a step before the flight is missing (the message names it),
             or camera or board cannot be used.
     """
+    from falconwing_kit.tools.cli.scene_input import parse_place
+
     bench = _check(fly)
+    fly = fly if fly.camera_at else replace(fly, camera_at=builder_place())
+    p_body_camera = parse_place("--camera-at", fly.camera_at)
     pilot, lens = _load_pilot(fly)
     with ExitStack() as stack:
         port = stack.enter_context(open_ready_port(fly.port, fly.calibration, fly.radio))
         images = _open_images(stack, fly, bench)
         is_straight = bench is not None and bench.lens is not None
-        log = _open_log(stack, fly, port, lens, is_straight)
+        log = _open_log(stack, fly, port, lens, is_straight, p_body_camera)
         sink = AircraftPort(port, log)
         supervisor = _supervisor(fly, bench)
         loop = Loop(
@@ -65,6 +70,15 @@ def fly_aircraft(fly: "Fly") -> int:
         record = _record(fly, port, sink, supervisor, flight)
     _show(fly, record)
     return 0 if sink.engaged_at is not None and flight.reason in ENDINGS else 1
+
+
+def builder_place() -> str:
+    """Place of the camera on the aircraft to build, as --camera-at gives it: the simulator's is in
+    the tip of the spinner, where no real camera can be.
+    """
+    from falconwing_kit.aircraft.airframe import builder_airframe_path, load_airframe
+
+    return ",".join(f"{x:g}" for x in load_airframe(builder_airframe_path()).p_body_camera)
 
 
 class AircraftPort:
@@ -228,7 +242,12 @@ def _supervisor(fly: "Fly", bench: "BenchCalibration | None") -> Supervisor:
 
 
 def _open_log(
-    stack: ExitStack, fly: "Fly", port: TrainerPort, lens: "PinholeCamera", is_straight: bool
+    stack: ExitStack,
+    fly: "Fly",
+    port: TrainerPort,
+    lens: "PinholeCamera",
+    is_straight: bool,
+    p_body_camera: tuple[float, float, float],
 ) -> "FlightLogWriter | None":
     """The flight log in --out."""
     if fly.out is None:
@@ -241,7 +260,8 @@ def _open_log(
     path = fly.out / time.strftime("flight_%Y%m%d_%H%M%S.mcap")
     log = stack.enter_context(FlightLogWriter(path))
     how = recording_metadata(port, lens, undistorted=is_straight)
-    log.metadata({**how, "mode": "autonomous", "pilot": fly.pilot, "task": fly.task})
+    place = {"p_body_camera": json.dumps(p_body_camera)}
+    log.metadata({**how, "mode": "autonomous", "pilot": fly.pilot, "task": fly.task, **place})
     return log
 
 
@@ -254,6 +274,7 @@ def _record(
         "simulated_board": port.simulation is not None,
         "task": fly.task,
         "pilot": fly.pilot,
+        "camera_at_m": fly.camera_at,
         "reason": supervisor.reason or flight.reason,
         "engaged_at_s": sink.engaged_at,
         "seconds": round(float(flight.t[-1]), 2) if len(flight.t) else 0.0,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.core.checks import Array, InputError
+from falconwing_kit.flight.pilots import MAX_MOUNT
 from falconwing_kit.scene import AnalogVideo, GaussianScene, scene_link
 from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.tools.cli.show import print_json, print_table
@@ -66,6 +67,24 @@ def parse_pose(option: str, text: str) -> tuple[Array, Array]:
             f"got {text[:80]!r}"
         )
     return numbers[:3], np.radians(numbers[3:])
+
+
+def parse_place(option: str, text: str) -> tuple[float, float, float]:
+    """A point of the aircraft in body axes [m] from "x,y,z", within 2 m of the centre of gravity.
+
+    Raises:
+        InputError: the text is not three such numbers.
+    """
+    try:
+        x, y, z = (float(word) for word in text.split(","))
+    except ValueError:
+        x = y = z = math.nan
+    if not max(abs(x), abs(y), abs(z)) <= MAX_MOUNT or not math.isfinite(x + y + z):
+        raise InputError(
+            f"{option}: expected x,y,z, three numbers in metres within {MAX_MOUNT:g} of the centre"
+            f" of gravity, such as {option}=0.036,0,-0.075, got {text[:80]!r}"
+        )
+    return x, y, z
 
 
 def parse_size(text: str) -> tuple[int, int]:

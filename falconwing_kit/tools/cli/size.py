@@ -9,7 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.aircraft.airframe import Airframe, load_airframe, scaling_sentence
+from falconwing_kit.aircraft.airframe import (
+    Airframe,
+    builder_airframe_path,
+    load_airframe,
+    scaling_sentence,
+)
 from falconwing_kit.aircraft.sizing import (
     largest_mass,
     level_turn_bank,
@@ -26,6 +31,7 @@ from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.tools.cli.size_parts import as_parts, parts_record, print_parts
 from falconwing_kit.tools.hardware.parts import Item, load_parts, roll_up
+from falconwing_kit.tools.hardware.parts_check import find_problems
 
 LIMITS = {  # of the options: from an insect to a large drone; more is a slip of the unit
     "mass_g": (0.1, 1e6),
@@ -46,7 +52,8 @@ _PAPER_MASSES = (
 class Size:
     """Compute minimum speed, turn radius and the maximum mass of an aircraft for a hall.
 
-    Exit code 1 when a full circle is wider than the hall.
+    Exit code 1 when a full circle is wider than the hall, or when a parts list breaks mass,
+    balance, camera place or propeller clearance.
     """
 
     mass_g: float | None = None  # mass as flown; the airframe file's if not given
@@ -56,7 +63,7 @@ class Size:
     hall_width_m: float = 20.0  # the circle must fit across it
     margin_m: float = 0.0  # part of the width that must stay free
     hold_height: bool = False  # decide by the level turn, not by the paper's formula
-    airframe: Path | None = None  # airframe file; the kit's aircraft if not given
+    airframe: Path | None = None  # airframe file; the paper's aircraft, with --parts the builder's
     parts: str | None = None  # parts list for mass, balance and cost: "kit" or a CSV file
     json: bool = False  # print JSON instead of tables
     out: Path | None = None  # folder for the figure and the JSON
@@ -65,7 +72,7 @@ class Size:
         """Size the aircraft, print the results and write them under `out`.
 
         Returns:
-            0 if the aircraft fits the hall, else 1.
+            0 if the aircraft fits the hall and its parts fit it, else 1.
 
         Raises:
             InputError: a number is out of range, or the airframe file is invalid.
@@ -76,9 +83,12 @@ class Size:
         )
         airframe = self._aircraft(items)
         record = sizing_record(airframe, self.hall_width_m, self.margin_m)
+        turn = record["level_turn" if self.hold_height else "paper_turn"]
+        fits, problems = bool(turn["fits"]), tuple[str, ...]()
         if items is not None:
             record |= parts_record(items, airframe, load_airframe(self.airframe).mass)
-        fits = bool(record["level_turn" if self.hold_height else "paper_turn"]["fits"])
+            problems = find_problems(items, airframe, turn["largest_mass_g"] / 1000.0)
+            record["problems"] = list(problems)
         record["fits"] = fits
         if self.out is not None:
             self.out.mkdir(parents=True, exist_ok=True)
@@ -91,7 +101,7 @@ class Size:
             if sentence := scaling_sentence(airframe):
                 print(sentence + "\n")
             _print_record(record, self.out)
-        return 0 if fits else 1
+        return 0 if fits and not problems else 1
 
     def _aircraft(self, items: Sequence[Item] | None = None) -> Airframe:
         """The airframe of the file with the changes of the parts list and the options."""
@@ -99,7 +109,10 @@ class Size:
             value = getattr(self, option)
             if value is not None:
                 require_range("--" + option.replace("_", "-"), value, low=low, high=high)
-        airframe = load_airframe(self.airframe)
+        if items is None or self.airframe is not None:
+            airframe = load_airframe(self.airframe)
+        else:
+            airframe = load_airframe(builder_airframe_path())
         if items is not None:
             airframe = replace(airframe, mass=roll_up(items).mass, parts=as_parts(items))
         return replace(
@@ -281,6 +294,8 @@ def _print_record(record: dict[str, Any], out: Path | None) -> None:
     free = record["hall_width_m"] - record["margin_m"]
     fits = "fits" if record["fits"] else "does NOT fit"
     print(f"{fits} across {free:g} m. {_level_turn_sentence(level)}")
+    for problem in record.get("problems", ()):
+        print(problem)
     if out is not None:
         next_line(f"look at {out / 'size.png'}")
     elif record["fits"]:

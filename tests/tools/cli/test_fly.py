@@ -16,7 +16,7 @@ from falconwing_kit.control.manoeuvres import MANOEUVRES
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_log import read_flight_log
 from falconwing_kit.core.messages import Command
-from falconwing_kit.flight.pilots import PLANNED
+from falconwing_kit.flight.pilots import PLANNED, load_pilot
 from falconwing_kit.flight.sources import decode_jpeg
 from falconwing_kit.flight.tasks import TASKS, LandingTask
 from falconwing_kit.scene import GaussianScene
@@ -119,6 +119,9 @@ def test_the_pose_pilot_lands_in_the_hall_without_a_state(tmp_path, monkeypatch,
         ),
         (("--seed", "-1"), "seed: expected a finite number"),
         (("--against", "nowhere"), "found none there"),
+        (("--camera-at", "0.2,0"), "--camera-at: expected x,y,z, three numbers in metres"),
+        (("--camera-at=36,0,-75",), "within 2 of the centre of gravity"),
+        (("--camera-at=nan,0,0",), "got 'nan,0,0'"),
     ],
 )
 def test_wrong_options_are_wrong_use(words, sentence, monkeypatch, capsys):
@@ -128,6 +131,25 @@ def test_wrong_options_are_wrong_use(words, sentence, monkeypatch, capsys):
     said = capsys.readouterr().err
     assert sentence in said
     assert len(said.splitlines()) == 1
+
+
+def test_the_cameras_place_reaches_pilot_and_log(tmp_path, monkeypatch, capsys):
+    """By definition: the three numbers given, for the pilot by images and in the flight's log; and
+    they make another task, whose trials are not mixed with those of the nose camera.
+    """
+    seen = []
+
+    def load(name, task, scene, camera, p_body_camera_m, **more):
+        seen.append(tuple(p_body_camera_m))
+        return load_pilot("expert", task, scene)
+
+    monkeypatch.setattr("falconwing_kit.tools.cli.fly.load_pilot", load)
+    words = ["fly", *QUICK, "--pilot", "expert_pid", "--out", str(tmp_path)]
+    assert main([*words, "--camera-at=0.036,0,-0.075"]) == 0
+    assert set(seen) == {(0.036, 0.0, -0.075)}
+    log = read_flight_log(tmp_path / "trial_000.mcap")
+    assert json.loads(log.metadata["p_body_camera"]) == [0.036, 0.0, -0.075]
+    assert main(words) == 2 and "airframe" in capsys.readouterr().err
 
 
 def test_help_lists_the_tables(capsys, monkeypatch):

@@ -195,6 +195,8 @@ def test_a_flight_until_its_time_is_up_succeeds(bench, monkeypatch, capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["reason"] == "duration" and found["engaged_at_s"] is not None
     assert found["margin_s"] > 0.2
+    log = read_flight_log(next(Path("flights").glob("*.mcap")))  # above the wing, by the files
+    assert json.loads(log.metadata["p_body_camera"]) == [0.036, 0.0, -0.075]
 
 
 def record(tmp_path, change=None, number=0, **more):

@@ -78,11 +78,11 @@ def test_moved_battery_brings_the_balance_back(tmp_path):
 
 def test_shipped_masses_sum_as_by_hand():
     """137 + 9 + 2.4 + 1.2 + 0.7 + 0.2 + 1.3 + 2 * 0.15 + 0.6 = 152.7 g; the moments of the rows sum
-    to 2683.8 g mm: 4932 - 1476 - 384 - 72 - 42 - 12 - 117 - 49.2 - 96.
+    to 5031.9 g mm: 4932 + 108 + 38.4 - 24 - 14 - 4 - 19.5 + 3.6 + 11.4.
     """
     whole = roll_up(load_parts())
     assert whole.mass == pytest.approx(0.1527, abs=1e-9)
-    assert whole.moment == pytest.approx(2683.8e-6, abs=1e-10)
+    assert whole.moment == pytest.approx(5031.9e-6, abs=1e-10)
 
 
 def test_shipped_costs_sum_as_by_hand():
@@ -104,7 +104,7 @@ def test_papers_own_sum_does_not_close():
 
 
 def test_list_airframe_and_cameras_agree():
-    """Three files tell of the same camera: its mass, the paper's parts, and where it is."""
+    """Three files tell of the same camera: its mass and the paper's parts."""
     items, airframe = {item.id: item for item in load_parts()}, load_airframe()
     assert items["camera_analog"].unit_mass == pytest.approx(load_camera("analog").mass_g / 1000.0)
     assert items["camera_digital"].unit_mass == pytest.approx(
@@ -119,8 +119,6 @@ def test_list_airframe_and_cameras_agree():
     for part in airframe.parts:
         assert items[paper[part.name]].paper_mass == pytest.approx(part.mass)
         assert items[paper[part.name]].inside == part.inside
-    ahead = items["airframe"].x - items["camera_analog"].x
-    assert ahead == pytest.approx(airframe.p_body_camera[0], abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -131,13 +129,13 @@ def test_list_airframe_and_cameras_agree():
             "receiver,receiver,1,15.3",
             "13.5 g",
         ),
-        ("1,9,paper,-164", "1,19,paper,-164", "camera_analog: mass: expected the paper's"),
+        ("1,9,paper,12", "1,19,paper,12", "camera_analog: mass: expected the paper's"),
         ("1,,,,80,paper,spares", "1,,,,60,paper,spares", "price: expected the paper's"),
         ("1,1.2,estimate", "1,,estimate", "unit_mass_g of a part that flies"),
         ("1,1.2,estimate", "1,-1.2,estimate", "unit_mass_g"),
         ("1,1.2,estimate", "1,heavy,estimate", "unit_mass_g"),
         ("1,1.2,estimate", "1,1.2,guess", "mass_source"),
-        ("measure yours,-90", "measure yours,", "x_mm of a part that flies"),
+        ("measure yours,-15", "measure yours,", "x_mm of a part that flies"),
         ("aircraft,airframe,,13.5 g", "aircraft,fuselage,,13.5 g", "'fuselage'"),
         ("option,,camera_analog", "option,,", "replaces"),
         ("trainer_lead,", "trainer_board,", "every id once"),
@@ -145,7 +143,7 @@ def test_list_airframe_and_cameras_agree():
         (",,,9 g,", ",,,nine g,", "paper_value"),
         ("screws,M2 x 5 screw,2,", "screws,M2 x 5 screw,2.5,", "whole quantity"),
         ("price_source", "price_from", "columns"),
-        ("estimate: steel,-164", "estimate, of steel,-164", "cells"),
+        ("estimate: steel,12", "estimate, of steel,12", "cells"),
     ],
 )
 def test_planted_error_is_one_sentence(tmp_path, old, new, text):
@@ -161,7 +159,7 @@ def test_planted_error_is_one_sentence(tmp_path, old, new, text):
 def test_planted_mass_changes_the_sum(tmp_path, old, new):
     """What the reader cannot know to be wrong moves the sums, so the tests by hand above see it."""
     whole = roll_up(load_parts(shipped_with(tmp_path, old, new)))
-    assert abs(whole.mass - 0.1527) > 0.002 and abs(whole.moment - 2683.8e-6) > 1e-4
+    assert abs(whole.mass - 0.1527) > 0.002 and abs(whole.moment - 5031.9e-6) > 2e-5
 
 
 def test_nothing_that_flies_has_no_balance(tmp_path):
