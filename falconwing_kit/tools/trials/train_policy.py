@@ -17,6 +17,7 @@ from falconwing_kit.learning.situations import NOMINAL, SPREAD_RANGES
 from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.tools.cli.scene_input import open_scene, parse_size
 from falconwing_kit.tools.cli.train import CURVE, RECORD, STATE, WEIGHTS, settings_record
+from falconwing_kit.tools.trials.train_on_data import clone_stages, open_data
 from falconwing_kit.vision.policy import PolicyShape
 
 if TYPE_CHECKING:
@@ -36,11 +37,15 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
     shape = PolicyShape(camera.width, camera.height)
     if options.pilot == "rgb":
         shape = replace(shape, memory=0, history=30)
+    data = open_data(options, camera)
     options.out.mkdir(parents=True, exist_ok=True)
     settings, rounds = settings_record(options), _rounds_before(options)
     used = rounds[-1]["s"] / 60.0 if rounds else 0.0
     left = max(options.minutes - used, 0.0)
-    if rounds and left < 0.01:
+    cloning = 0.0
+    if data is not None:  # all of the time, or half of it before the rounds
+        cloning = max((0.5 if options.rounds else 1.0) * options.minutes - used, 0.0)
+    if rounds and (left if options.rounds else cloning) < 0.01:
         return rounds
     schedule = Schedule(
         minutes=left, flights=options.flights, rounds=options.rounds, batch=options.batch,
@@ -68,7 +73,13 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
     number = len(rounds)
     try:
         ranges = NOMINAL if options.nominal else SPREAD_RANGES
-        imitate(learner, views, fleets, options.task, ranges, log)
+        if data is not None and cloning > 0.01:
+            clone_stages(options, learner, data, views, fleets, ranges, cloning, log)
+            number, used = len(rounds), rounds[-1]["s"] / 60.0
+            rest = max(options.minutes - used, 0.0)
+            learner.schedule = replace(schedule, minutes=rest, mixing=())
+        if options.rounds:
+            imitate(learner, views, fleets, options.task, ranges, log)
     finally:
         bar.close()
         for fleet in fleets:

@@ -1,0 +1,74 @@
+"""Training on datasets from the command line: folders -> flights, and a policy cloned from them."""
+
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.core.files import short_name
+from falconwing_kit.learning.cloning import Joined, clone, command_error
+from falconwing_kit.learning.datasets import Dataset
+from falconwing_kit.learning.flights import Fleet
+from falconwing_kit.learning.imitation import Learner, LogFunction, evaluate
+from falconwing_kit.learning.policy_views import PolicyViews
+from falconwing_kit.learning.situations import Ranges
+from falconwing_kit.scene.camera import PinholeCamera
+
+if TYPE_CHECKING:
+    from falconwing_kit.tools.cli.train import Train
+
+HELD_OUT = 10  # every tenth flight is not trained on
+EVALUATED = 32  # most flights by the policy after each stage
+EVALUATION_SEED = 8_000_000_000  # beyond those of training and collecting
+
+
+def open_data(options: "Train", camera: PinholeCamera) -> Joined | None:
+    """The flights of --data; None without.
+
+    Raises:
+        FileNotFoundError: a folder holds no dataset.
+        InputError: a dataset is damaged, or of another task or camera.
+    """
+    parts = [Dataset(folder) for folder in options.data]
+    for part in parts:
+        record = part.record
+        if record.task != options.task:
+            raise InputError(
+                f"--data {short_name(part.folder)}: expected flights of the task {options.task},"
+                f" got {record.task}; take another dataset or --task {record.task}"
+            )
+        if (record.width, record.height) != (camera.width, camera.height):
+            raise InputError(
+                f"--data {short_name(part.folder)}: expected images of {camera.width}x"
+                f"{camera.height}, got {record.width}x{record.height}; use --size"
+                f" {record.width}x{record.height}"
+            )
+    flights = sum(len(part) for part in parts)
+    if parts and flights < 2:
+        raise InputError(
+            f"--data: expected at least 2 flights, one to be held out, got {flights}; collect more"
+        )
+    return Joined(parts) if parts else None
+
+
+def clone_stages(
+    options: "Train", learner: Learner, data: Joined, views: PolicyViews,
+    fleets: list[Fleet], ranges: Ranges, minutes: float, log: LogFunction,
+) -> None:  # fmt: skip
+    """Train on datasets for a time; after each stage the policy flies, which the record says."""
+    begin = time.perf_counter()
+    held = list(range(HELD_OUT - 1, len(data), HELD_OUT)) or [len(data) - 1]
+    kept = [k for k in range(len(data)) if k not in set(held)]
+    flights = max(min(options.flights, EVALUATED), len(fleets))
+    for stage, loss in enumerate(clone(learner, data.chosen(kept), ranges, minutes)):
+        error = command_error(learner, data.chosen(held))
+        outcomes = evaluate(
+            learner, views, fleets, options.task, ranges, seed=EVALUATION_SEED, flights=flights
+        )
+        log({
+            "round": float(stage), "s": time.perf_counter() - begin, "flying_s": 0.0,
+            "flights": float(len(kept)), "images": float(sum(len(data[k].sent) for k in kept)),
+            "steps": float(learner.steps), "loss": loss, "mixing": 0.0, "held_out_error": error,
+            "success": float(np.mean([bool(o.get("landed", o.get("success"))) for o in outcomes])),
+        })  # fmt: skip
