@@ -46,15 +46,17 @@ class Joined(Sequence[Flown]):
 
 
 def clone(
-    learner: Learner, flights: Sequence[Flown], ranges: Ranges, minutes: float, stages: int = 4
-) -> Iterator[float]:
-    """Train on flights for a time, with the learning rate of one training.
+    learner: Learner, flights: Sequence[Flown], ranges: Ranges, *, minutes: float = 0.0,
+    steps: int = 0, stages: int = 4,
+) -> Iterator[float]:  # fmt: skip
+    """Train on flights, with the learning rate of one training.
 
     Args:
         learner: changed in place.
         flights: of a dataset.
         ranges: of late and lost images.
         minutes: of training, without what is done between the stages.
+        steps: of training, in place of a time: the same on every machine, to rounding.
         stages: parts of equal length.
 
     Yields:
@@ -63,16 +65,16 @@ def clone(
     Raises:
         InputError: a loss is not finite.
     """
-    seconds, used = 60.0 * minutes, 0.0
+    used, total = 0.0, float(steps or 60.0 * minutes)
     for stage in range(stages):
         learner.network.train()
         losses: list[torch.Tensor] = []
-        while not losses or used < seconds * (stage + 1) / stages:
+        while not losses or used < total * (stage + 1) / stages:
             t = time.perf_counter()
-            losses.append(learner.train_step(flights, used / seconds, ranges))
+            losses.append(learner.train_step(flights, used / total, ranges))
             if learner.device == "cuda" and len(losses) % 8 == 0:
                 torch.cuda.synchronize()  # or the clock would run ahead of the GPU
-            used += time.perf_counter() - t
+            used += 1.0 if steps else time.perf_counter() - t
         loss = float(torch.stack(losses).mean())
         if not np.isfinite(loss):
             raise InputError("training: expected a finite loss, got nan; use a lower rate")

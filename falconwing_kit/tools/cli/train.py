@@ -42,6 +42,8 @@ class Train:
     """learning rate"""
     data: tuple[Path, ...] = ()
     """datasets of falconwing collect, learned from before the rounds; with --rounds 0 instead"""
+    steps: int = 0
+    """of training on --data; 0: by the time, all of --minutes or half of it before the rounds"""
     nominal: bool = False
     """only the kit's own aircraft in still air, from the usual starts"""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -67,7 +69,8 @@ class Train:
 
         least = 0 if self.data else 1
         limits = {"minutes": (0.01, 1e4), "flights": (2, 1e5), "rounds": (least, 1e4),
-                  "batch": (1, 1e4), "workers": (0, 256), "seed": (0, 99)}  # fmt: skip
+                  "batch": (1, 1e4), "steps": (0, 1e7), "workers": (0, 256),
+                  "seed": (0, 99)}  # fmt: skip
         for name, (low, high) in limits.items():
             require_range(f"--{name}", getattr(self, name), low=low, high=high)
         try:

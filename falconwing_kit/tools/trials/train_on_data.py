@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 HELD_OUT = 10  # every tenth flight is not trained on
 EVALUATED = 32  # most flights by the policy after each stage
+LEAST_MIN = 0.01  # less time than this is none
 EVALUATION_SEED = 8_000_000_000  # beyond those of training and collecting
 
 
@@ -52,16 +53,31 @@ def open_data(options: "Train", camera: PinholeCamera) -> Joined | None:
     return Joined(parts) if parts else None
 
 
+def cloning_left(options: "Train", rounds: list[dict[str, float]]) -> tuple[float, int]:
+    """Minutes or steps of training on --data that are left after the rounds before.
+
+    By time it is all of --minutes, or half of it where the policy flies afterwards.
+    """
+    last = rounds[-1] if rounds else {"s": 0.0, "steps": 0.0}
+    if not options.data:
+        return 0.0, 0
+    if options.steps:
+        return 0.0, max(options.steps - int(last["steps"]), 0)
+    minutes = (0.5 if options.rounds else 1.0) * options.minutes - last["s"] / 60.0
+    return (minutes, 0) if minutes > LEAST_MIN else (0.0, 0)
+
+
 def clone_stages(
     options: "Train", learner: Learner, data: Joined, views: PolicyViews,
-    fleets: list[Fleet], ranges: Ranges, minutes: float, log: LogFunction,
+    fleets: list[Fleet], ranges: Ranges, left: tuple[float, int], log: LogFunction,
 ) -> None:  # fmt: skip
-    """Train on datasets for a time; after each stage the policy flies, which the record says."""
-    begin = time.perf_counter()
+    """Train on datasets; after each stage the policy flies, and its record says how that went."""
+    begin, (minutes, steps) = time.perf_counter(), left
     held = list(range(HELD_OUT - 1, len(data), HELD_OUT)) or [len(data) - 1]
     kept = [k for k in range(len(data)) if k not in set(held)]
     flights = max(min(options.flights, EVALUATED), len(fleets))
-    for stage, loss in enumerate(clone(learner, data.chosen(kept), ranges, minutes)):
+    losses = clone(learner, data.chosen(kept), ranges, minutes=minutes, steps=steps)
+    for stage, loss in enumerate(losses):
         error = command_error(learner, data.chosen(held))
         outcomes = evaluate(
             learner, views, fleets, options.task, ranges, seed=EVALUATION_SEED, flights=flights

@@ -17,7 +17,7 @@ from falconwing_kit.learning.situations import NOMINAL, SPREAD_RANGES
 from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.tools.cli.scene_input import open_scene, parse_size
 from falconwing_kit.tools.cli.train import CURVE, RECORD, STATE, WEIGHTS, settings_record
-from falconwing_kit.tools.trials.train_on_data import clone_stages, open_data
+from falconwing_kit.tools.trials.train_on_data import clone_stages, cloning_left, open_data
 from falconwing_kit.vision.policy import PolicyShape
 
 if TYPE_CHECKING:
@@ -42,10 +42,8 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
     settings, rounds = settings_record(options), _rounds_before(options)
     used = rounds[-1]["s"] / 60.0 if rounds else 0.0
     left = max(options.minutes - used, 0.0)
-    cloning = 0.0
-    if data is not None:  # all of the time, or half of it before the rounds
-        cloning = max((0.5 if options.rounds else 1.0) * options.minutes - used, 0.0)
-    if rounds and (left if options.rounds else cloning) < 0.01:
+    cloning = cloning_left(options, rounds)
+    if rounds and not any(cloning) and (left < 0.01 or not options.rounds):
         return rounds
     schedule = Schedule(
         minutes=left, flights=options.flights, rounds=options.rounds, batch=options.batch,
@@ -56,6 +54,7 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
     if rounds and state.is_file():
         learner.load_state(state)
         learner.schedule = replace(schedule, mixing=())
+        learner.steps = int(rounds[-1]["steps"])
     leader = load_scene("leader") if options.task == "follow" else None
     backend = "gsplat" if device == "cuda" else "fast"
     views = PolicyViews(open_scene(options.scene), leader, camera, backend, device)
@@ -73,7 +72,7 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
     number = len(rounds)
     try:
         ranges = NOMINAL if options.nominal else SPREAD_RANGES
-        if data is not None and cloning > 0.01:
+        if data is not None and any(cloning):
             clone_stages(options, learner, data, views, fleets, ranges, cloning, log)
             number, used = len(rounds), rounds[-1]["s"] / 60.0
             rest = max(options.minutes - used, 0.0)
