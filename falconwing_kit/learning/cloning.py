@@ -57,7 +57,7 @@ def clone(
         ranges: of late and lost images.
         minutes: of training, without what is done between the stages.
         steps: of training, in place of a time: the same on every machine, to rounding.
-        stages: parts of equal length.
+        stages: parts of equal length; no more than steps.
 
     Yields:
         The mean loss of each stage.
@@ -66,6 +66,7 @@ def clone(
         InputError: a loss is not finite.
     """
     used, total = 0.0, float(steps or 60.0 * minutes)
+    stages = min(stages, steps) if steps else stages
     for stage in range(stages):
         learner.network.train()
         losses: list[torch.Tensor] = []
