@@ -1,4 +1,4 @@
-"""Datasets: what is written is read, as LeRobot's format has it; nothing half-written is believed."""
+"""Datasets: what is written is read, as LeRobot's format has it; nothing half-written counts."""
 
 import json
 import shutil

@@ -8,7 +8,6 @@ import numpy as np
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import short_name
 from falconwing_kit.learning.cloning import Joined, clone, command_error
-from falconwing_kit.learning.datasets import Dataset
 from falconwing_kit.learning.flights import Fleet
 from falconwing_kit.learning.imitation import Learner, LogFunction, evaluate
 from falconwing_kit.learning.policy_views import PolicyViews
@@ -31,6 +30,10 @@ def open_data(options: "Train", camera: PinholeCamera) -> Joined | None:
         FileNotFoundError: a folder holds no dataset.
         InputError: a dataset is damaged, or of another task or camera.
     """
+    if not options.data:
+        return None
+    from falconwing_kit.learning.datasets import Dataset  # needs the extra `datasets`
+
     parts = [Dataset(folder) for folder in options.data]
     for part in parts:
         record = part.record
@@ -46,11 +49,11 @@ def open_data(options: "Train", camera: PinholeCamera) -> Joined | None:
                 f" {record.width}x{record.height}"
             )
     flights = sum(len(part) for part in parts)
-    if parts and flights < 2:
+    if flights < 2:
         raise InputError(
             f"--data: expected at least 2 flights, one to be held out, got {flights}; collect more"
         )
-    return Joined(parts) if parts else None
+    return Joined(parts)
 
 
 def cloning_left(options: "Train", rounds: list[dict[str, float]]) -> tuple[float, int]:
