@@ -111,11 +111,6 @@ def unexplained(policy, small_hall, change=lambda pixels: pixels):
 
         fly_trial(LandingTask(), make_pilot, number, setting=setting)
     teacher, asked = np.concatenate([each.pairs for each in flown]).transpose(1, 0, 2)
-    print(
-        ((asked - teacher) ** 2).mean(0) / teacher.var(0),
-        teacher.std(0),
-        [np.corrcoef(teacher[:, k], asked[:, k])[0, 1] for k in range(4)],
-    )
     return ((asked - teacher) ** 2).mean(0) / teacher.var(0)
 
 
