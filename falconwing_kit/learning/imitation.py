@@ -20,7 +20,7 @@ from falconwing_kit.core.messages import CONTROL_PERIOD_S
 from falconwing_kit.flight.pilots import P_BODY_CAMERA_M
 from falconwing_kit.learning.flight_appearance import FlightAppearance
 from falconwing_kit.learning.flights import PAST, Fleet, Snapshot
-from falconwing_kit.learning.learner import Flown, Learner, draw_batch
+from falconwing_kit.learning.learner import Flown, Learner, train_together
 from falconwing_kit.learning.policy_views import PolicyViews
 from falconwing_kit.learning.situations import SPREAD_RANGES, Ranges, Situation
 from falconwing_kit.vision.policy import CONTROLS, policy_inputs
@@ -239,24 +239,23 @@ def _train_for(
     seconds: float,
 ) -> dict[str, float]:  # fmt: skip
     """Train for some seconds; the mean losses of it: over the policies, of each, and of masks."""
-    first, finder = learners[0], next((each.masks for each in learners if each.masks), None)
-    for trained in [each.trained for each in learners] + ([finder.trained] if finder else []):
-        trained.network.train()
     end, losses = time.perf_counter() + max(budget, 0.0), list[Tensor]()
     while not losses or time.perf_counter() < end:
         share = (time.perf_counter() - begin) / seconds
-        batch = draw_batch(data, first.schedule.batch, ranges, first.rng, first.generator, finder)
-        steps = [learner.train_step(batch, share) for learner in learners]
-        if finder is not None:
-            steps.append(finder.train_step(batch, share))
-        losses.append(torch.stack(steps))
-        if first.device == "cuda" and len(losses) % 8 == 0:
+        losses.append(train_together(learners, data, ranges, share))
+        if learners[0].device == "cuda" and len(losses) % 8 == 0:
             torch.cuda.synchronize()  # or the clock would run ahead of the GPU
-    means = torch.stack(losses).mean(0).tolist()
-    found = {"loss": float(np.mean(means[: len(learners)]))}
-    if len(learners) > 1:
+    return name_losses(learners, losses)
+
+
+def name_losses(learners: Sequence[Learner], losses: Sequence[Tensor]) -> dict[str, float]:
+    """The mean losses of some steps of `train_together`, as they go to records."""
+    means = torch.stack(list(losses)).mean(0).tolist()
+    count = len(learners)
+    found = {"loss": float(np.mean(means[:count]))}
+    if count > 1:
         found |= {f"loss_{each.name}": mean for each, mean in zip(learners, means, strict=False)}
-    return found | ({"loss_of_masks": means[-1]} if finder else {})
+    return found | ({"loss_of_masks": means[count]} if len(means) > count else {})
 
 
 def evaluate(

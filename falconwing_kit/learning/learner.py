@@ -258,6 +258,24 @@ class Learner:
         return loss.detach()
 
 
+def train_together(
+    learners: Sequence[Learner], flights: Sequence[Flown], ranges: Ranges, share: float
+) -> Tensor:
+    """One step of each learner on the same batch, and of the masks; share of the training over.
+
+    Returns:
+        The losses of the learners, and of the masks if one sees them.
+    """
+    first, finder = learners[0], next((each.masks for each in learners if each.masks), None)
+    for trained in [each.trained for each in learners] + ([finder.trained] if finder else []):
+        trained.network.train()
+    batch = draw_batch(flights, first.schedule.batch, ranges, first.rng, first.generator, finder)
+    losses = [learner.train_step(batch, share) for learner in learners]
+    if finder is not None:
+        losses.append(finder.train_step(batch, share))
+    return torch.stack(losses)
+
+
 def save_state(learners: Sequence[Learner], path: Path) -> None:
     """Write all networks, for an interrupted training."""
     from safetensors.torch import save

@@ -162,6 +162,9 @@ def test_command_runs(line, folder, capsys):
         assert (
             main(["bench", "--port", "sim-python", "--camera", "sim", "--out", "bench.toml"]) == 0
         )
+    if words[0] == "train" and "--data" in words:  # which the page collects a line before
+        size = words[words.index("--size") : words.index("--size") + 2]
+        assert main(["collect", "--out", "flights", "--flights", "2", "--nominal", *size]) == 0
     if words[0] == "class":  # which flies until Ctrl-C
         words += ["--flights", "1", "--laps", "0", "--no-browser", "--web-port", "0"]
     noticed = words[0] == "watch" or (words[0] == "find-port" and not find_boards())

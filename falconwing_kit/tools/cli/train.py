@@ -38,11 +38,15 @@ class Train:
     flights: int = 512
     """in each round"""
     rounds: int = 40
-    """of flying and learning, at most"""
+    """of flying and learning, at most; 0 with --data alone"""
     batch: int = 48
     """flights in a training step"""
     rate: float = 1.5e-3
     """learning rate"""
+    data: tuple[Path, ...] = ()
+    """datasets of falconwing collect, learned from before the rounds; with --rounds 0 instead"""
+    steps: int = 0
+    """of training on --data; 0: by the time, all of --minutes or half of it before the rounds"""
     nominal: bool = False
     """only the kit's own aircraft in still air, from the usual starts"""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -66,14 +70,16 @@ class Train:
         """
         from falconwing_kit.core.checks import InputError, require_range
 
-        limits = {"minutes": (0.01, 1e4), "flights": (2, 1e5), "rounds": (1, 1e4),
-                  "batch": (1, 1e4), "workers": (0, 256), "seed": (0, 99)}  # fmt: skip
         for name in self.pilots:
             if name not in PILOTS or (self.task == "landing" and "mask" in name):
                 known = PILOTS if self.task == "follow" else PILOTS[:2]
                 raise InputError(
                     f"--pilot: expected {' or '.join(known)} for {self.task}, got {name!r}"
                 )
+        least = 0 if self.data else 1
+        limits = {"minutes": (0.01, 1e4), "flights": (2, 1e5), "rounds": (least, 1e4),
+                  "batch": (1, 1e4), "steps": (0, 1e7), "workers": (0, 256),
+                  "seed": (0, 99)}  # fmt: skip
         for name, (low, high) in limits.items():
             require_range(f"--{name}", getattr(self, name), low=low, high=high)
         try:
@@ -118,4 +124,4 @@ class Train:
 
 def settings_record(train: Train) -> dict[str, Any]:
     """The options as they go to training.json."""
-    return asdict(train) | {"out": train.out.name}
+    return asdict(train) | {"out": train.out.name, "data": [path.name for path in train.data]}

@@ -27,6 +27,7 @@ from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.tools.cli.scene_input import open_scene, parse_size
 from falconwing_kit.tools.cli.train import CURVE, RECORD, STATE, settings_record
+from falconwing_kit.tools.trials.train_on_data import clone_stages, cloning_left, open_data
 from falconwing_kit.vision.policy import PolicyShape
 
 if TYPE_CHECKING:
@@ -46,11 +47,13 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
         InputError: the folder holds a training with other options.
     """
     camera = fpv_camera(*parse_size(options.size))
+    data = open_data(options, camera)
     options.out.mkdir(parents=True, exist_ok=True)
     settings, rounds = settings_record(options), _rounds_before(options)
     used = rounds[-1]["s"] / 60.0 if rounds else 0.0
     left = max(options.minutes - used, 0.0)
-    if rounds and left < 0.01:
+    cloning = cloning_left(options, rounds)
+    if rounds and not any(cloning) and (left < 0.01 or not options.rounds):
         return rounds
     schedule = Schedule(
         minutes=left, flights=options.flights, rounds=options.rounds, batch=options.batch,
@@ -65,6 +68,8 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
     learners = make_learners(options.pilots, options.task, camera, schedule, device)
     if goes_on:
         load_state(learners, state)
+        for learner in learners:
+            learner.trained.steps = int(rounds[-1]["steps"])
     leader = load_scene("leader") if options.task == "follow" else None
     backend = "gsplat" if device == "cuda" else "fast"
     views = PolicyViews(open_scene(options.scene), leader, camera, backend, device)
@@ -83,7 +88,13 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
     try:
         spread = FOLLOW_RANGES if options.task == "follow" else SPREAD_RANGES
         ranges = NOMINAL if options.nominal else spread
-        imitate(learners, views, fleets, options.task, ranges, log)
+        if data is not None and any(cloning):
+            clone_stages(options, learners, data, views, fleets, ranges, cloning, log)
+            number, used = len(rounds), rounds[-1]["s"] / 60.0
+            rest = max(options.minutes - used, 0.0)
+            learners[0].schedule = replace(schedule, minutes=rest, mixing=())
+        if options.rounds:
+            imitate(learners, views, fleets, options.task, ranges, log)
     finally:
         bar.close()
         for fleet in fleets:
