@@ -1,6 +1,7 @@
 """Sources: a simulated world or a flight log -> images and states for the loop; a log's pilot."""
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -23,6 +24,7 @@ FOCAL_LENGTH_WIDTHS = 0.62  # of the FPV lens, in image widths: 78 deg field of 
 IMAGE_SIZE = (320, 240)  # of the FPV image [px]
 NEAREST = 0.1  # of a leader whose image has edges [m]
 CROP_MARGIN_PX = 4  # around its Gaussians' centres
+FAINT = 0.02  # share of a pixel below which nothing is said of what hides it
 FINER = 4  # drawn pixels a side of one whose share is measured
 TIME_ROUNDING = 1e-6  # largest rounding error of a time in a log [s]
 
@@ -123,9 +125,10 @@ class RenderedView:
     def leader_share(self) -> NDArray[np.float32]:
         """Share (h, w) of each pixel, 0..1, that shows the leader; all of size zero without one.
 
-        Only the part of the image around the leader is drawn. A white leader in a black hall, so
-        that what hides it takes its share; drawn finer and averaged, because in the image itself a
-        Gaussian narrower than a pixel is widened.
+        The leader alone, drawn finer and averaged around its place, because in the image itself a
+        Gaussian narrower than a pixel is widened; times what the hall lets through, which is drawn
+        as the whole image is: a narrow part of it would project the hall's nearest Gaussians
+        otherwise, for the projection is linearised only up to the edge of what is drawn.
         """
         nothing = np.zeros((0, 0), np.float32)
         if self._black_and_white is None:
@@ -144,9 +147,14 @@ class RenderedView:
             FINER * camera.fx, FINER * camera.fy, FINER * (camera.cx - low[0]),
             FINER * (camera.cy - low[1]), FINER * width, FINER * height,
         )  # fmt: skip
-        white = render([hall, leader], fine, self.T_world_camera, self.backend, antialiased=True)
-        blocks = white.rgb[..., 0].reshape(height, FINER, width, FINER)
-        return np.asarray(blocks.mean(axis=(1, 3)))
+        part = np.s_[low[1] : high[1], low[0] : high[0]]
+        draw = partial(
+            render, T_world_camera=self.T_world_camera, backend=self.backend, antialiased=True
+        )
+        blocks = draw(leader, fine).alpha.reshape(height, FINER, width, FINER).mean(axis=(1, 3))
+        white, unhidden = draw([hall, leader], camera).rgb[part][..., 0], draw(leader, camera).alpha
+        passes = np.clip(white / np.maximum(unhidden[part], FAINT), 0.0, 1.0)
+        return np.asarray(blocks * passes, np.float32)
 
     def _place(self, leader: GaussianScene) -> GaussianScene:
         """A leader in its body axes at its present pose."""

@@ -207,7 +207,7 @@ class Learner:
             masks: finds the leader; of a policy that sees masks.
 
         Raises:
-            InputError: a policy that sees masks has nobody to find them.
+            InputError: a policy that sees masks has no network that finds them.
         """
         if shape.sees != "rgb" and masks is None:
             raise InputError(f"masks: expected a learner of masks for {shape.sees}, got none")

@@ -3,7 +3,7 @@ NumPy alone.
 
     image -> halved three times -> doubled three times, each time beside the map of that size
 
-The contracting half tells what is there, the maps beside tell where [Ronneberger, Fischer & Brox
+The contracting half finds what is there, the maps beside hold where it is [Ronneberger, Fischer & Brox
 2015, fig. 1]. The layers are those of mask_network.py, which trains them.
 """
 

@@ -23,7 +23,7 @@ from falconwing_kit.flight.judges import (
 from falconwing_kit.flight.loop import LoopStep
 from falconwing_kit.flight.sources import RenderedView, fpv_camera
 from falconwing_kit.flight.world import Contact
-from falconwing_kit.scene import GaussianScene
+from falconwing_kit.scene import GaussianScene, load_scene
 from falconwing_kit.scene.arena import leader_at
 from falconwing_kit.scene.masks import visible_alpha_image
 
@@ -140,6 +140,24 @@ def test_what_is_nearer_hides_the_leader_and_what_is_farther_does_not():
         assert pixels == pytest.approx(expected, abs=3) and locked is (expected > 0)
     half = locked_and_pixels(view_of(wing, pose, wall(4.0, y=-0.4)), pose)[1]
     assert half == pytest.approx(free / 2, abs=4)
+
+
+def test_a_ceiling_near_the_lens_hides_what_it_hides_in_the_image():
+    """Just under the hall's ceiling, behind a leader that is to be seen: as many pixels as in the
+    whole image, four times as fine and averaged. Drawn around the leader alone, the ceiling's
+    Gaussians beside the lens were projected otherwise and left none.
+    """
+    follower = State.from_vector([-20.604, -5.35, 3.794, 0.055, 0.064, -0.029, 7, 0, 0, 0, 0, 0])
+    pose = State.from_vector([-16.49, -5.04, 3.528, 0.085, 0, 0, 7, 0, 0, 0, 0, 0])
+    world = SimpleNamespace(state=follower, leader_state=pose)
+    view = RenderedView(world, load_scene("hall"), fpv_camera(), AIRFRAME.p_body_camera)
+    leader = leader_at(load_scene("leader"), pose.pose.T_world_body)
+    T_world_camera = view.T_world_camera
+    whole = visible_alpha_image(load_scene("hall"), leader, fpv_camera(1280, 960), T_world_camera)
+    count = int((whole.reshape(240, 4, 320, 4).mean(axis=(1, 3)) >= 0.5).sum())
+    locked, pixels = locked_and_pixels(view, pose)
+    assert locked and count > 50
+    assert pixels == pytest.approx(count, rel=0.2)  # that widens edges by half a fine pixel
 
 
 def test_the_share_of_the_leader_is_that_of_the_whole_image():

@@ -78,7 +78,7 @@ def test_a_finished_training_is_not_repeated_and_another_is_refused(trained, cap
     [
         (("--pilot", "expert", "--weights", "w.safetensors"), "expected none for pilot expert"),
         (("--pilot", "student", "--weights", "none.safetensors"), "found nothing there"),
-        (("--pilot", "student", "--task", "follow"), "got student, which does not"),
+        (("--pilot", "mask", "--task", "landing"), "got mask, which does not"),
     ],
 )
 def test_weights_that_do_not_fit_are_one_sentence(words, sentence, capsys):

@@ -71,7 +71,7 @@ class Amount:
     frames: int  # of the renderer
 
 
-QUICK = Amount("quick", 10, 3, 2, False, 200, 12)
+QUICK = Amount("quick", 10, 2, 1, False, 200, 12)
 FULL = Amount("full", 100, 30, 10, True, 1000, 100)
 
 
@@ -576,7 +576,7 @@ def table_one(job: Job) -> Part:
                 )
                 rows.append(
                     _missing(f"{scenario}, {pilot}: success, ATE, ART", numbers, "Table I",
-                             "no pilot that follows by images ships yet")
+                             "this pilot does not ship yet")
                 )  # fmt: skip
                 continue
             cells = [Cell(pilot, "follow", WORLDS[name], SIZE, 0, SCENE) for name in worlds]
@@ -608,7 +608,7 @@ def robustness(job: Job) -> Part:
     if "rgb_mask" not in pilots:
         rows += [
             _missing(f"rgb_mask, leader's {group}", words, where,
-                     "no pilot that follows by images ships yet")
+                     "this pilot does not ship yet")
             for group, words in ROBUSTNESS.items()
         ]  # fmt: skip
     for group in ROBUSTNESS:

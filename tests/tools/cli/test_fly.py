@@ -36,14 +36,15 @@ class Dive:
         return Command(0.0, 0.0, -1.0, 0.0)
 
 
-@pytest.mark.parametrize("pilot", ["rgb", "mask", "rgb_mask"])
+@pytest.mark.parametrize("pilot", PLANNED)
 def test_pilots_that_are_not_there_yet_are_wrong_use(pilot, capsys):
     """Exit 2 and one sentence, before anything is flown."""
     assert main(["fly", "--pilot", pilot]) == 2
     said = capsys.readouterr().err
     assert said == (
-        f"falconwing: --pilot {pilot}: expected one of expert, expert_pid, pose, student, manual,"
-        f" got {pilot}, which this version of the kit does not have yet; use one of these\n"
+        f"falconwing: --pilot {pilot}: expected one of expert, expert_pid, pose, student, mask,"
+        f" rgb_mask, manual, got {pilot}, which this version of the kit does not have yet; use one"
+        " of these\n"
     )
 
 
@@ -55,7 +56,7 @@ def test_pilots_that_are_not_there_yet_are_wrong_use(pilot, capsys):
         (("--pilot", "pose", "--scene", "arena"), "expected hall for pilot pose, got arena"),
         (("--pilot", "pose", "--no-render"), "--no-render: expected it with a pilot by the state"),
         (("--pilot", "pose", "--size", "16x16"), "image: expected 32 pixels a side or more"),
-        (("--pilot", "autopilot"), "expected one of expert, expert_pid, pose, student, manual"),
+        (("--pilot", "autopilot"), "expected one of expert, expert_pid, pose, student, mask"),
         (("--pilot", "manual"), "which nobody holds here; use `falconwing class`"),
         (("--pilot", "manual", "--headless"), "nobody holds here; use `falconwing class`"),
     ],
@@ -75,7 +76,7 @@ def test_help_offers_the_pilots_that_are_there(capsys, monkeypatch):
     with pytest.raises(SystemExit):
         main(["fly", "--help"])
     said = capsys.readouterr().out
-    assert "{expert,expert_pid,pose,student}" in said
+    assert "{expert,expert_pid,pose,student,mask,rgb_mask}" in said
     assert "expert (landing, follow): " in said and "pose (landing): " in said
     assert not [name for name in PLANNED if re.search(rf"\b{name}\b", said)]
 
