@@ -166,6 +166,21 @@ def _set_aside(
     return before, sorted([*ranking, *aside], key=lambda c: -c.delta_bic), new
 
 
+def chi2_difference_error(base: NominalModel, dof: int) -> float:
+    """Standard deviation of a flight's chi2 per degree of freedom less the baseline's.
+
+    chi2 sqrt(F (2 / n + 2 / n_base)): a sum of n squares has the variance 2 n [Bendat &
+    Piersol, Random Data, 4.2.2]. Residuals that share an error count as fewer,
+    by the variance factor F of the baseline's fit.
+
+    Args:
+        base: the baseline.
+        dof: n, degrees of freedom of the flight.
+    """
+    n_base = degrees_of_freedom(base.windows, base.result)
+    return float(base.chi2 * np.sqrt(base.prior_inflation * (2.0 / dof + 2.0 / n_base)))
+
+
 def _decide(
     base: NominalModel,
     windows: Windows,
@@ -179,9 +194,8 @@ def _decide(
     before, ranking, new = _set_aside(
         base, windows, nominal, ranking, catalogue, threshold, progress
     )
-    # Chi2 of the flight above the baseline's, and the standard deviation of that difference.
     dof = degrees_of_freedom(windows, before)
-    error = base.chi2 * np.sqrt(2.0 / dof + 2.0 / degrees_of_freedom(base.windows, base.result))
+    error = chi2_difference_error(base, dof)
     excess_chi2 = nominal.cost / dof - base.chi2
     chosen: tuple[EffectCandidate, ...] = ()
     verdict: Verdict = "none"

@@ -3,8 +3,8 @@ NumPy alone.
 
     image -> halved three times -> doubled three times, each time beside the map of that size
 
-The contracting half finds what is there, the maps beside hold where it is [Ronneberger, Fischer & Brox
-2015, fig. 1]. The layers are those of mask_network.py, which trains them.
+The contracting half finds what is there, the maps beside hold where it is [Ronneberger, Fischer &
+Brox 2015, fig. 1]. The layers are those of mask_network.py, which trains them.
 """
 
 from collections.abc import Mapping

@@ -3,6 +3,7 @@ another name.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,12 @@ from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import slice_time
 from falconwing_kit.gap import name as name_module
 from falconwing_kit.gap.baseline import VERY_STRONG_EVIDENCE, identify_baseline
-from falconwing_kit.gap.name import EffectCandidate, change_over_baseline, name_effect
+from falconwing_kit.gap.name import (
+    EffectCandidate,
+    change_over_baseline,
+    chi2_difference_error,
+    name_effect,
+)
 from falconwing_kit.sysid.fit import fit
 from tests.gap.studies import EFFECTS, own_aircraft, own_base, own_flight, shipped, wind_study
 from tests.sysid.simulated import fly_figure_eights, measured
@@ -180,3 +186,24 @@ def test_an_effect_in_both_flights_hides_no_other(monkeypatch):
     assert asked == [(fits[1], {"flap"})] and before is fits[1]
     assert [(c.effect.name, c.delta_bic) for c in ranking] == [("flap", 30.0), ("wind", 2.0)]
     assert new is flap
+
+
+class Rows:
+    """Windows as far as degrees of freedom are counted."""
+
+    def __init__(self, count, windows):
+        self.count, self._windows = count, windows
+
+    def __len__(self):
+        return self._windows
+
+
+def test_residuals_that_share_an_error_count_as_fewer():
+    """By hand: chi2 1.2, 800 and 3,200 degrees of freedom: 1.2 sqrt(2/800 + 2/3200) = 0.0671; with
+    each error shared by four residuals twice that, as for 200 and 800.
+    """
+    result = SimpleNamespace(model=SimpleNamespace(n_states=9), free=("a",) * 10)
+    base = SimpleNamespace(chi2=1.2, windows=Rows(3_300, 10), result=result, prior_inflation=1.0)
+    assert chi2_difference_error(base, 800) == pytest.approx(0.06708, abs=1e-5)
+    base.prior_inflation = 4.0
+    assert chi2_difference_error(base, 800) == pytest.approx(0.13416, abs=1e-5)
