@@ -83,13 +83,10 @@ PILOTS = {
         False,
         ("hall",),
     ),
-    "rgb_mask": PilotEntry(
-        "by the camera: the same by image and mask", ("follow",), False, ("hall",)
-    ),
     "manual": PilotEntry("by hand, on the page of `falconwing class`", ("landing", "follow"), True),
 }
-PLANNED = ("rgb",)  # names of later versions
-BY_POLICY = ("student", "mask", "rgb_mask")
+PLANNED = ("rgb", "rgb_mask")  # names of later versions
+BY_POLICY = ("student", "mask")
 TASK_NAMES = ("landing", "follow")
 
 

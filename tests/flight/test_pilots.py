@@ -122,7 +122,7 @@ def test_a_pilot_of_a_later_version_is_refused_by_one_sentence(name):
     """It names those that are there."""
     with pytest.raises(InputError, match="does not have yet; use one of these") as refusal:
         load_pilot(name, camera=CAMERA)
-    known = "expert, expert_pid, pose, student, mask, rgb_mask, manual"
+    known = "expert, expert_pid, pose, student, mask, manual"
     assert str(refusal.value).startswith(f"pilot: expected one of {known}, got {name}")
     assert name not in PILOTS
 

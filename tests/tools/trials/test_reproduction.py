@@ -128,7 +128,7 @@ def test_what_cannot_be_made_is_a_row_that_says_so(job, monkeypatch):
     rows = [*reproduction.table_one(job).rows, *reproduction.robustness(job).rows]
     rows += reproduction.table_two(job).rows
     missing = {row.quantity: row for row in rows if row.verdict == "not reproduced"}
-    for words in ("real flights", "digital camera that flies", "unseen, rgb:", "replay of the"):
+    for words in ("real flights", "digital camera that flies", "unseen, rgb_mask", "replay of the"):
         (row,) = [row for name, row in missing.items() if words in name]
         assert row.why and not row.kit and row.mark == "-"
     numbers = " ".join(row.paper for row in rows)
