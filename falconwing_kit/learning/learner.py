@@ -29,6 +29,7 @@ from falconwing_kit.vision.policy_network import PolicyNetwork
 
 WARMUP = 0.02  # share of the training over which the learning rate rises
 HUBER = 0.05  # command error beyond which the loss is linear
+FINDER = "leader_mask"  # in the file of an interrupted training; no pilot has this name
 MASK_EVERY = 4  # one image of so many trains the masks
 
 
@@ -329,6 +330,6 @@ def save_policy(learner: Learner, path: str | Path, task: str, camera: PinholeCa
 def _parts(learners: Sequence[Learner]) -> dict[str, Any]:
     """The networks of learners, by the names of their files' parts."""
     trained = {learner.name: learner.trained for learner in learners}
-    trained.update(("mask", each.masks.trained) for each in learners if each.masks is not None)
+    trained.update((FINDER, each.masks.trained) for each in learners if each.masks is not None)
     each = ("network", "average")
     return {f"{name}.{part}": getattr(t, part) for name, t in trained.items() for part in each}

@@ -109,7 +109,8 @@ class Train:
                 for r in rounds]  # fmt: skip
         print_table(HEADERS, rows, title=f"SIMULATED: {self.task} by {self.pilot}, imitated")
         weights = self.out / self.weights(self.pilots[0])
-        next_line(f"falconwing fly --task {self.task} --pilot {self.pilots[0]} --weights {weights}")
+        # `student` flies by the weights of any policy
+        next_line(f"falconwing fly --task {self.task} --pilot student --weights {weights}")
         return 0
 
     @property
