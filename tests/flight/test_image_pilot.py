@@ -9,6 +9,7 @@ import pytest
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import SAFE_COMMAND, Image, Observation, State
+from falconwing_kit.data import data_path
 from falconwing_kit.flight import load_pilot
 from falconwing_kit.flight.image_pilot import blank_or_noise
 from falconwing_kit.flight.loop import Loop
@@ -149,9 +150,12 @@ def test_damaged_past_commands_stay_out(hall):
     assert np.isfinite(command.vector).all()
 
 
-def test_it_follows_no_leader_and_needs_a_camera():
+def test_it_needs_a_camera_and_weights_of_its_task():
     """One sentence each."""
-    with pytest.raises(InputError, match="flies the task follow, got student, which does not"):
-        load_pilot("student", task="follow", camera=CAMERA)
+    weights = data_path("policy_follow_mask.safetensors")
+    with pytest.raises(InputError, match="a policy for the task landing, got one for follow"):
+        load_pilot("student", camera=CAMERA, weights=weights)
+    with pytest.raises(InputError, match="flies the task landing, got mask, which does not"):
+        load_pilot("mask", camera=CAMERA)
     with pytest.raises(InputError, match="expected a PinholeCamera"):
         load_pilot("student")
