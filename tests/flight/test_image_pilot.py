@@ -3,13 +3,14 @@ what is missing.
 """
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from falconwing_kit import data
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.messages import SAFE_COMMAND, Image, Observation, State
-from falconwing_kit.data import data_path
 from falconwing_kit.flight import load_pilot
 from falconwing_kit.flight.image_pilot import blank_or_noise
 from falconwing_kit.flight.loop import Loop
@@ -152,7 +153,7 @@ def test_damaged_past_commands_stay_out(hall):
 
 def test_it_needs_a_camera_and_weights_of_its_task():
     """One sentence each."""
-    weights = data_path("policy_follow_mask.safetensors")
+    weights = Path(data.__file__).with_name("policy_follow_mask.safetensors")
     with pytest.raises(InputError, match="a policy for the task landing, got one for follow"):
         load_pilot("student", camera=CAMERA, weights=weights)
     with pytest.raises(InputError, match="flies the task landing, got mask, which does not"):
