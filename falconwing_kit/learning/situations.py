@@ -62,6 +62,13 @@ NOMINAL = Ranges(0.0, 0.0, (LINK_DELAY_S,) * 2, (LINK_DELAY_S,) * 2, 0.0, 0.0, (
                  0.0, 0, 0.0, 0.0)  # fmt: skip
 
 
+def training_ranges(task: str, nominal: bool) -> Ranges:
+    """Of the flights of a training or a dataset: the kit's own aircraft, or many."""
+    if nominal:
+        return NOMINAL
+    return FOLLOW_RANGES if task == "follow" else SPREAD_RANGES
+
+
 @dataclass(frozen=True, eq=False)
 class Situation:
     """One flight before it begins."""

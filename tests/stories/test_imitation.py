@@ -7,8 +7,8 @@ import pytest
 
 from falconwing_kit.flight import load_pilot
 from falconwing_kit.flight.sources import fpv_camera
-from falconwing_kit.scene import load_scene
 from falconwing_kit.tools.cli.main import main
+from tests.learning.halls import thinned_hall
 
 SIZE = "64x48"
 GAUSSIANS = 4000  # of the hall's, those that cover most
@@ -17,11 +17,8 @@ GAUSSIANS = 4000  # of the hall's, those that cover most
 @pytest.fixture(scope="module")
 def small_hall(tmp_path_factory):
     """The hall thinned, so that an image takes a millisecond."""
-    hall = load_scene("hall")
-    sides = np.sort(hall.scales, axis=1)
-    covers = hall.opacities * sides[:, 1] * sides[:, 2]
     path = tmp_path_factory.mktemp("hall") / "small.npz"
-    hall.selected(covers >= np.sort(covers)[-GAUSSIANS]).save(path)
+    thinned_hall(GAUSSIANS).save(path)
     return path
 
 

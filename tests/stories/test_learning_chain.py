@@ -26,10 +26,11 @@ from falconwing_kit.learning.datasets import Dataset
 from falconwing_kit.learning.flight_appearance import FlightAppearance
 from falconwing_kit.learning.flights import TaughtFlight, TrueState
 from falconwing_kit.learning.situations import NOMINAL, draw_situation
-from falconwing_kit.scene import GaussianScene, load_scene, render
+from falconwing_kit.scene import GaussianScene, render
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.tools.trials import evaluation
 from falconwing_kit.tools.trials.trials import TrialSettings, fly_trial
+from tests.learning.halls import thinned_hall
 
 SIZE, CAMERA = "64x48", fpv_camera(64, 48)
 GAUSSIANS = 1500  # of the hall's, those that cover most
@@ -41,11 +42,8 @@ LIE = State.from_vector(np.full(12, 0.3))
 @pytest.fixture(scope="module")
 def small_hall(tmp_path_factory):
     """The hall thinned, so that an image takes a millisecond."""
-    hall = load_scene("hall")
-    sides = np.sort(hall.scales, axis=1)
-    covers = hall.opacities * sides[:, 1] * sides[:, 2]
     path = tmp_path_factory.mktemp("hall") / "small.npz"
-    hall.selected(covers >= np.sort(covers)[-GAUSSIANS]).save(path)
+    thinned_hall(GAUSSIANS).save(path)
     return path
 
 

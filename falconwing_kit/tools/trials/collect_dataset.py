@@ -21,7 +21,7 @@ from falconwing_kit.learning.datasets import (
 )
 from falconwing_kit.learning.flights import Fleet
 from falconwing_kit.learning.policy_views import PolicyViews
-from falconwing_kit.learning.situations import NOMINAL, SPREAD_RANGES
+from falconwing_kit.learning.situations import training_ranges
 from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.tools.cli.scene_input import open_scene, parse_size
 
@@ -55,7 +55,7 @@ def collect_dataset(options: "Collect") -> Dataset:
     done = begin_dataset(options.out, record)
     leader = load_scene("leader") if options.task == "follow" else None
     views = PolicyViews(scene, leader, camera, "gsplat" if device == "cuda" else "fast", device)
-    ranges = NOMINAL if options.nominal else SPREAD_RANGES
+    ranges = training_ranges(options.task, options.nominal)
     bar = tqdm(
         total=options.flights, initial=done, unit="flight", desc="collecting",
         disable=True if options.json else None,

@@ -22,7 +22,7 @@ from falconwing_kit.learning.learner import (
     save_state,
 )
 from falconwing_kit.learning.policy_views import PolicyViews
-from falconwing_kit.learning.situations import FOLLOW_RANGES, NOMINAL, SPREAD_RANGES
+from falconwing_kit.learning.situations import training_ranges
 from falconwing_kit.scene.arena import load_scene
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.tools.cli.scene_input import open_scene, parse_size
@@ -86,8 +86,7 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
 
     number = len(rounds)
     try:
-        spread = FOLLOW_RANGES if options.task == "follow" else SPREAD_RANGES
-        ranges = NOMINAL if options.nominal else spread
+        ranges = training_ranges(options.task, options.nominal)
         if data is not None and any(cloning):
             clone_stages(options, learners, data, views, fleets, ranges, cloning, log)
             number, used = len(rounds), rounds[-1]["s"] / 60.0
