@@ -396,7 +396,7 @@ QUASI_STEADY_RATES = (Term("quasi_steady_rates", _QUASI_STEADY, quasi_steady_rat
 # With a product of inertia the three ratios of inertia have no bounds of their own.
 UNBOUNDED_GYROSCOPIC = Term(
     "gyroscopic_moment",
-    tuple(replace(p, low=-20.0, high=20.0) for p in _GYROSCOPIC),
+    tuple(replace(p, start=0.0, low=-20.0, high=20.0) for p in _GYROSCOPIC),
     gyroscopic_moment,
 )
 THRUST_CURVE = Term("thrust_curve", _THRUST_CURVE, thrust_curve, of_propeller=True)

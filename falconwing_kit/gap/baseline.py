@@ -144,6 +144,7 @@ def build_nominal_model(
     noise = find_pose_noise(found.result, found.fitted_windows)
     windows = whiten(found.fitted_windows, noise)
     result = fit(start, windows, found.result.initial_states, prior=weak)
+    result, weak = _extend_form(found.model, result, windows, weak)
     if noise.has_discrepancy and (found.held_out or found.train).chi2 > MAX_REDUCED_CHI2:
         progress("other starts")
         noise, windows, result, weak = _fit_from_other_starts(found, noise, result, weak)
@@ -169,6 +170,37 @@ def with_thrust_curve(model: Model) -> Model:
     if THRUST_CURVE.name in present or fixed & {"kT", "kTV"}:
         return model
     return model.with_terms(THRUST_CURVE)
+
+
+def _extend_form(
+    identified: Model, result: FitResult, windows: Windows, weak: Prior
+) -> tuple[FitResult, Prior]:
+    """The fit with cross moments or an attitude hold, where the flight shows these; and its prior.
+
+    Terms that every aircraft of a kind has come before effects: what they leave out in a calm
+    flight would look like an effect in a livelier one.
+
+    Args:
+        identified: the model that identification found.
+        result: the fit of that with the thrust curve.
+        windows: what it was fitted to.
+        weak: its prior.
+    """
+    best, best_prior = result, weak
+    for form in extended_models(identified):
+        model = with_thrust_curve(form)
+        prior = weak_prior(model)
+        added = len(model.names) - len(result.model.names)
+        values = {**model.values, **result.model.values}
+        extended = fit(
+            model.with_values(values), windows, result.initial_states, prior=prior,
+            tolerance=START_TOLERANCE,
+        )  # fmt: skip
+        level = max(1.0, result.cost / degrees_of_freedom(windows, result))
+        price = ADDITION_EVIDENCE + added * np.log(max(windows.count, 2))
+        if extended.cost + level * price < best.cost:
+            best, best_prior = extended, prior
+    return best, best_prior
 
 
 def _fit_from_other_starts(

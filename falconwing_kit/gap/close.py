@@ -276,7 +276,8 @@ def find_onset(
         found: the effects, as they explain the flight when they act all along.
 
     Returns:
-        The onset, or None where no effect can have one (delay, lag and camera cannot).
+        The onset, or None where no effect can have one (delay, lag and camera cannot), or where the
+        flight diverges with it.
     """
     windows, before = _join_segments(base, windows, before)
     initial_guess = _scan_onsets(base, windows, before, found)
@@ -293,6 +294,8 @@ def find_onset(
     for _ in range(MAX_ONSET_ITERATIONS):
         result = fit(model, windows, initial_states, prior=base.prior, iterations=15)
         onset_times, cost_at_onset = _profile_likelihood(base, windows, result)
+        if not np.isfinite(cost_at_onset).any():  # the flight diverges with it at any time
+            return None
         time, initial_states = float(onset_times[np.argmin(cost_at_onset)]), result.initial_states
         if cost_at_onset.min() > result.cost - ONSET_TOLERANCE * base.reduced_chi2:
             break

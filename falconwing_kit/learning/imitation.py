@@ -26,6 +26,7 @@ from falconwing_kit.learning.situations import SPREAD_RANGES, Ranges, Situation
 from falconwing_kit.vision.policy import CONTROLS, policy_inputs
 
 LAST_SHARE = 0.05  # of the flights of a round, which do not fly on alone
+MEMORY_SHARE = 0.5  # of a GPU's memory that the flights may fill
 SHORTEST = 5  # steps of a flight that is kept
 LogFunction = Callable[[dict[str, float]], None]
 Look = Callable[[Tensor, Tensor], Tensor]  # images (N, 3, h, w), their flights (N,) -> images
@@ -195,7 +196,7 @@ def imitate(
         seed += schedule.flights
         _prepare(fleets, task, seed, schedule.flights, ranges)
         data = [*data, *(flown for rollout in rollouts for flown in rollout.flown())]
-        data = data[-schedule.keep :]
+        data = _newest(data, schedule.keep, learners[0].device)
         flown_s = time.perf_counter() - t
         used = time.perf_counter() - begin
         # train as long as flying took, more in the last rounds
@@ -220,6 +221,17 @@ def imitate(
     for fleet in fleets:
         fleet.begin()  # the flights that were prepared are not flown
     return data
+
+
+def _newest(data: list[Flown], most: int, device: str) -> list[Flown]:
+    """The newest flights, at most so many and, on a GPU, so many as half of its memory holds."""
+    data = data[-most:]
+    if device != "cuda":
+        return data
+    sizes = [f.images.nbytes + (f.masks.nbytes if f.masks is not None else 0) for f in data]
+    total = np.cumsum(sizes[::-1])
+    room = MEMORY_SHARE * torch.cuda.get_device_properties(device).total_memory
+    return data[len(data) - int(np.searchsorted(total, room)) :]
 
 
 def _prepare(fleets: Sequence[Fleet], task: str, seed: int, flights: int, ranges: Ranges) -> None:

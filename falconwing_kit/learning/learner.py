@@ -5,7 +5,7 @@ batch   -> a step of each network in training; those that are trained together s
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,9 +23,16 @@ from falconwing_kit.learning.flight_appearance import FlightAppearance
 from falconwing_kit.learning.flights import AUXILIARY, PAST
 from falconwing_kit.learning.situations import Ranges, draw_delivery
 from falconwing_kit.scene.camera import PinholeCamera
+from falconwing_kit.vision.layers import Array32
 from falconwing_kit.vision.mask_network import MaskNetwork, mask_loss
-from falconwing_kit.vision.policy import CONTROLS, PolicyRecord, PolicyShape, policy_inputs
-from falconwing_kit.vision.policy_network import PolicyNetwork
+from falconwing_kit.vision.policy import (
+    CONTROLS,
+    Policy,
+    PolicyRecord,
+    PolicyShape,
+    policy_inputs,
+)
+from falconwing_kit.vision.policy_network import PolicyNetwork, calibrate
 
 WARMUP = 0.02  # share of the training over which the learning rate rises
 HUBER = 0.05  # command error beyond which the loss is linear
@@ -138,9 +145,24 @@ class Trained:
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = deepcopy(self.network).eval().requires_grad_(False)
         self.schedule, self.device, self.steps = schedule, device, 0
+        self._is_restored = False
         self._optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=schedule.rate, weight_decay=schedule.decay
         )
+
+    def restore(self, weights: Mapping[str, Array32]) -> None:
+        """Begin from the weights of a file; auxiliary heads begin anew."""
+        tensors = {name: torch.from_numpy(w).to(self.device) for name, w in weights.items()}
+        for network in (self.network, self.average):
+            network.restore(tensors)  # type: ignore[operator]
+        self._is_restored = True
+
+    def calibrate(self, run: Callable[[], object]) -> None:
+        """Before the first step from a file, take the statistics of a batch that `run` runs on."""
+        if self._is_restored:
+            calibrate(self.network, run)
+            self.average.load_state_dict(self.network.state_dict())
+            self._is_restored = False
 
     def update(self, loss: Tensor, share: float) -> None:
         """A step down the gradient of a loss; share of the training that is over."""
@@ -178,6 +200,7 @@ class MaskLearner:
             raise InputError("masks: expected flights behind a leader, got others")
         begin = self.trained.steps % MASK_EVERY
         images = batch.images[begin::MASK_EVERY].contiguous(memory_format=torch.channels_last)
+        self.trained.calibrate(lambda: self.trained.network(images))
         with torch.autocast(self._device, torch.bfloat16, enabled=self._device == "cuda"):
             logits = self.trained.network(images)
         loss = mask_loss(logits.float(), batch.masks[begin::MASK_EVERY])
@@ -226,6 +249,21 @@ class Learner:
         assert isinstance(average, PolicyNetwork)
         return average
 
+    def start_from(self, policy: Policy) -> None:
+        """Begin from a trained policy's weights, those of its masks too.
+
+        Raises:
+            InputError: it is of another shape.
+        """
+        if policy.shape != self.shape:
+            raise InputError(
+                f"{self.name}: expected weights of a network of this shape, got another (image,"
+                " memory or kind of input); take the file of the same pilot and --size"
+            )
+        self.trained.restore(policy.weights)
+        if self.masks is not None:
+            self.masks.trained.restore(policy.weights)
+
     def see(self, images: Tensor, found: Tensor | None = None) -> Tensor:
         """What the network is given of images (N, 3, h, w): them, their masks, or both.
 
@@ -243,6 +281,8 @@ class Learner:
         network, device = self.trained.network, self.device
         with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
             seen = self.see(batch.images, batch.found).contiguous(memory_format=torch.channels_last)
+        self.trained.calibrate(lambda: network.encode(seen.float()))  # type: ignore[operator]
+        with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
             features = network.encode(seen)  # type: ignore[operator]
         none = torch.zeros_like(features[:1])
         delivered = torch.cat([none, features])[batch.seen]

@@ -185,6 +185,15 @@ def fit(
         damping = 0.1 * damping if damping > 1e-9 else 0.0
         if on_step:
             on_step(step_count, cost / max(windows.count, 1))
+    left = iterations - step_count - 1
+    if left >= 0:
+        # A step for all windows at once can leave the initial state of one where it is no minimum.
+        freed, residual = fit_initial_states(model, windows, initial_states)
+        if cost - _cost(residual, prior_factor, prior_mean, vector[here]) > tolerance:
+            return fit(
+                model, windows, freed, prior=prior, iterations=left, tolerance=tolerance,
+                on_step=on_step,
+            )  # fmt: skip
     return FitResult(model, initial_states, *linear, free, cost, step_count, converged)
 
 

@@ -378,7 +378,9 @@ def _with_cross_moments(model: Model) -> Model:
         UNBOUNDED_GYROSCOPIC if term.name == UNBOUNDED_GYROSCOPIC.name else term
         for term in model.terms
     )
-    return replace(model, terms=terms).with_terms(CROSS_MOMENTS)
+    wide = {p.name: p for p in UNBOUNDED_GYROSCOPIC.parameters}
+    parameters = tuple(wide.get(p.name, p) for p in model.parameters)
+    return replace(model, terms=terms, parameters=parameters).with_terms(CROSS_MOMENTS)
 
 
 def _diverges(residual: Array) -> bool:

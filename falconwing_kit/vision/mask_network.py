@@ -1,5 +1,7 @@
 """Mask network: the U-Net of leader_mask.py in PyTorch, which trains it."""
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -44,14 +46,27 @@ class MaskNetwork(nn.Module):
     def weights(self) -> dict[str, Tensor]:
         """The arrays of `leader_mask`, batch normalisation folded in."""
         found: dict[str, Tensor] = {}
-        for name, units in (("down", self.down), ("up", self.up)):
-            for k, unit in enumerate(units):
-                if isinstance(unit, ConvUnit):
-                    weight, bias = unit.folded()
-                    found |= {f"{PREFIX}{name}{k}.weight": weight, f"{PREFIX}{name}{k}.bias": bias}
+        for name, unit in self._units():
+            weight, bias = unit.folded()
+            found |= {f"{PREFIX}{name}.weight": weight, f"{PREFIX}{name}.bias": bias}
         bias = self.out.bias if self.out.bias is not None else torch.zeros(1)
         found |= {f"{PREFIX}out.weight": self.out.weight, f"{PREFIX}out.bias": bias}
         return {name: w.detach().float().cpu().contiguous() for name, w in found.items()}
+
+    @torch.no_grad()
+    def restore(self, weights: Mapping[str, Tensor]) -> None:
+        """Take the arrays of `weights`."""
+        for name, unit in self._units():
+            unit.restore(weights[f"{PREFIX}{name}.weight"], weights[f"{PREFIX}{name}.bias"])
+        self.out.weight.copy_(weights[f"{PREFIX}out.weight"])
+        if self.out.bias is not None:
+            self.out.bias.copy_(weights[f"{PREFIX}out.bias"])
+
+    def _units(self) -> list[tuple[str, ConvUnit]]:
+        """The convolutions by their names in a file."""
+        named = [(f"down{k}", unit) for k, unit in enumerate(self.down)]
+        named += [(f"up{k}", unit) for k, unit in enumerate(self.up)]
+        return [(name, unit) for name, unit in named if isinstance(unit, ConvUnit)]
 
 
 def mask_loss(logits: Tensor, shares: Tensor) -> Tensor:

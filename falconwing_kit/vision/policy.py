@@ -125,6 +125,11 @@ class Policy:
         return policy
 
     @property
+    def weights(self) -> dict[str, Array32]:
+        """The arrays by their names in the file."""
+        return dict(self._w)
+
+    @property
     def camera(self) -> PinholeCamera:
         """The camera that the policy was trained for."""
         focal, width, height = self.record.focal, self.shape.width, self.shape.height

@@ -7,6 +7,8 @@ In training, two auxiliary heads estimate the state from the memory and from the
 aircraft needs to fly must be in both. They are not saved.
 """
 
+from collections.abc import Callable, Mapping
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -37,6 +39,51 @@ class ConvUnit(nn.Module):
             raise RuntimeError("batch normalisation without running statistics")
         gain = norm.weight / torch.sqrt(norm.running_var + norm.eps)
         return self.conv.weight * gain[:, None, None, None], norm.bias - gain * norm.running_mean
+
+    @torch.no_grad()
+    def restore(self, weight: Tensor, bias: Tensor) -> None:
+        """Take a folded convolution; `calibrate` before it is trained on."""
+        norm = self.norm
+        self.conv.weight.copy_(weight)
+        norm.reset_parameters()  # scale 1, mean 0, variance 1
+        norm.weight.fill_((1.0 + norm.eps) ** 0.5)
+        norm.bias.copy_(bias)
+
+    @torch.no_grad()
+    def calibrate(self, x: Tensor) -> None:
+        """Take the statistics of a batch (N, before, h, w) into the normalisation.
+
+        The unit computes the same as before, and in training mode too.
+        """
+        norm = self.norm
+        if norm.running_var is None or norm.running_mean is None:
+            raise RuntimeError("batch normalisation without running statistics")
+        variance, mean = torch.var_mean(self.conv(x).float(), dim=(0, 2, 3), correction=0)
+        gain = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+        norm.bias.add_(gain * (mean - norm.running_mean))
+        norm.weight.copy_(gain * torch.sqrt(variance + norm.eps))
+        norm.running_mean.copy_(mean)
+        norm.running_var.copy_(variance)
+
+
+def calibrate(network: nn.Module, run: Callable[[], object]) -> None:
+    """Calibrate every `ConvUnit` of a network on what it is given while `run` runs the network."""
+
+    def take(unit: nn.Module, inputs: tuple[Tensor, ...]) -> None:
+        assert isinstance(unit, ConvUnit)
+        unit.calibrate(inputs[0])
+
+    units = [unit for unit in network.modules() if isinstance(unit, ConvUnit)]
+    handles = [unit.register_forward_pre_hook(take) for unit in units]
+    was_training = network.training
+    network.eval()
+    try:
+        with torch.no_grad():
+            run()
+    finally:
+        network.train(was_training)
+        for handle in handles:
+            handle.remove()
 
 
 class PolicyNetwork(nn.Module):
@@ -102,6 +149,21 @@ class PolicyNetwork(nn.Module):
         for layer, unit in enumerate(self.units):
             if isinstance(unit, ConvUnit):
                 found[f"conv{layer}.weight"], found[f"conv{layer}.bias"] = unit.folded()
+        found |= self._dense()
+        return {name: w.detach().float().cpu().contiguous() for name, w in found.items()}
+
+    @torch.no_grad()
+    def restore(self, weights: Mapping[str, Tensor]) -> None:
+        """Take the arrays of `weights`; the auxiliary heads stay as they are."""
+        for layer, unit in enumerate(self.units):
+            if isinstance(unit, ConvUnit):
+                unit.restore(weights[f"conv{layer}.weight"], weights[f"conv{layer}.bias"])
+        for name, parameter in self._dense().items():
+            parameter.copy_(weights[name])
+
+    def _dense(self) -> dict[str, Tensor]:
+        """The parameters of all layers but the convolutions that fly, by their names in a file."""
+        found: dict[str, Tensor] = {}
         dense: dict[str, nn.Linear] = {
             "features": self.features,
             "head": self.head,
@@ -114,7 +176,7 @@ class PolicyNetwork(nn.Module):
         if self.memory is not None:
             for part in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
                 found[f"memory.{part}"] = getattr(self.memory, f"{part}_l0")
-        return {name: w.detach().float().cpu().contiguous() for name, w in found.items()}
+        return found
 
 
 def standardise(images: Tensor) -> Tensor:

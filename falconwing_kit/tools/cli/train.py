@@ -47,6 +47,8 @@ class Train:
     """datasets of falconwing collect, learned from before the rounds; with --rounds 0 instead"""
     steps: int = 0
     """of training on --data; 0: by the time, all of --minutes or half of it before the rounds"""
+    start: tuple[Path, ...] = ()
+    """weights to begin from, a file for each pilot; the pilots fly from the first round on"""
     nominal: bool = False
     """only the kit's own aircraft in still air, from the usual starts"""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -76,6 +78,11 @@ class Train:
                 raise InputError(
                     f"--pilot: expected {' or '.join(known)} for {self.task}, got {name!r}"
                 )
+        if self.start and len(self.start) != len(self.pilots):
+            raise InputError(
+                f"--start: expected {len(self.pilots)} files, one for each pilot, got"
+                f" {len(self.start)}"
+            )
         least = 0 if self.data else 1
         limits = {"minutes": (0.01, 1e4), "flights": (2, 1e5), "rounds": (least, 1e4),
                   "batch": (1, 1e4), "steps": (0, 1e7), "workers": (0, 256),
@@ -125,4 +132,8 @@ class Train:
 
 def settings_record(train: Train) -> dict[str, Any]:
     """The options as they go to training.json."""
-    return asdict(train) | {"out": train.out.name, "data": [path.name for path in train.data]}
+    return asdict(train) | {
+        "out": train.out.name,
+        "data": [path.name for path in train.data],
+        "start": [path.name for path in train.start],
+    }

@@ -28,7 +28,7 @@ from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.tools.cli.scene_input import open_scene, parse_size
 from falconwing_kit.tools.cli.train import CURVE, RECORD, STATE, settings_record
 from falconwing_kit.tools.trials.train_on_data import clone_stages, cloning_left, open_data
-from falconwing_kit.vision.policy import PolicyShape
+from falconwing_kit.vision.policy import Policy, PolicyShape
 
 if TYPE_CHECKING:
     from falconwing_kit.tools.cli.train import Train
@@ -63,13 +63,16 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
         schedule = replace(schedule, memory_loss=FOLLOW_MEMORY_LOSS, image_loss=FOLLOW_IMAGE_LOSS)
     state = options.out / STATE
     goes_on = bool(rounds) and state.is_file()
-    if goes_on:
+    if goes_on or options.start:
         schedule = replace(schedule, mixing=())
     learners = make_learners(options.pilots, options.task, camera, schedule, device)
     if goes_on:
         load_state(learners, state)
         for learner in learners:
             learner.trained.steps = int(rounds[-1]["steps"])
+    else:
+        for learner, path in zip(learners, options.start, strict=False):
+            learner.start_from(Policy.load(path))
     leader = load_scene("leader") if options.task == "follow" else None
     backend = "gsplat" if device == "cuda" else "fast"
     views = PolicyViews(open_scene(options.scene), leader, camera, backend, device)
