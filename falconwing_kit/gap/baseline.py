@@ -50,6 +50,7 @@ MAX_ADDED_EFFECTS = 6  # effects that a nominal model may need
 # what is missing there would be named on the next flight.
 ADDITION_EVIDENCE = 15.0
 ADDITION_TRIALS = 2  # effects fitted in full before the completion ends
+FORM_STEPS = 6  # of a fit with more terms, from the one without them
 START_TOLERANCE = 1.0  # chi2; of the fits from several starts, the best of which goes on
 ADDITION_TOLERANCE = 2.0  # chi2; the completed model is fitted once more
 
@@ -194,13 +195,15 @@ def _extend_form(
         values = {**model.values, **result.model.values}
         extended = fit(
             model.with_values(values), windows, result.initial_states, prior=prior,
-            tolerance=START_TOLERANCE,
+            iterations=FORM_STEPS, tolerance=START_TOLERANCE,
         )  # fmt: skip
         level = max(1.0, result.cost / degrees_of_freedom(windows, result))
         price = ADDITION_EVIDENCE + added * np.log(max(windows.count, 2))
         if extended.cost + level * price < best.cost:
             best, best_prior = extended, prior
-    return best, best_prior
+    if best is result:
+        return result, weak
+    return fit(best.model, windows, best.initial_states, prior=best_prior), best_prior
 
 
 def _fit_from_other_starts(

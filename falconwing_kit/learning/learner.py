@@ -7,7 +7,7 @@ batch   -> a step of each network in training; those that are trained together s
 import json
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.vision.layers import Array32
 from falconwing_kit.vision.mask_network import MaskNetwork, mask_loss
 from falconwing_kit.vision.policy import (
+    CHANNELS,
     CONTROLS,
     Policy,
     PolicyRecord,
@@ -252,15 +253,20 @@ class Learner:
     def start_from(self, policy: Policy) -> None:
         """Begin from a trained policy's weights, those of its masks too.
 
+        A policy that sees colours alone may begin from one that sees masks beside them.
+
         Raises:
             InputError: it is of another shape.
         """
-        if policy.shape != self.shape:
+        weights, sees = dict(policy.weights), policy.shape.sees
+        if self.shape.sees == "rgb" and sees == "rgb_mask":
+            weights["conv0.weight"], sees = weights["conv0.weight"][:, : CHANNELS["rgb"]], "rgb"
+        if replace(policy.shape, sees=sees) != self.shape:
             raise InputError(
                 f"{self.name}: expected weights of a network of this shape, got another (image,"
                 " memory or kind of input); take the file of the same pilot and --size"
             )
-        self.trained.restore(policy.weights)
+        self.trained.restore(weights)
         if self.masks is not None:
             self.masks.trained.restore(policy.weights)
 

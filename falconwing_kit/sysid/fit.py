@@ -6,7 +6,7 @@ remains [Golub & Pereyra 2003, variable projection; Jategaonkar, ch. 4].
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -190,10 +190,12 @@ def fit(
         # A step for all windows at once can leave the initial state of one where it is no minimum.
         freed, residual = fit_initial_states(model, windows, initial_states)
         if cost - _cost(residual, prior_factor, prior_mean, vector[here]) > tolerance:
-            return fit(
+            done = step_count + 1
+            rest = fit(
                 model, windows, freed, prior=prior, iterations=left, tolerance=tolerance,
-                on_step=on_step,
+                on_step=(lambda k, c: on_step(done + k, c)) if on_step else None,
             )  # fmt: skip
+            return replace(rest, iterations=done + rest.iterations)
     return FitResult(model, initial_states, *linear, free, cost, step_count, converged)
 
 

@@ -19,9 +19,10 @@ def learner(seed, memory=8, sees="rgb_mask"):
     shape = PolicyShape(
         32, 24, sees, ((4, 3, 2), (6, 3, 2), (5, 1, 1)), 10, memory=memory, history=3, hidden=7
     )
-    made = Learner(shape, schedule, "cpu", "policy", MaskLearner(schedule, "cpu"))
+    masks = MaskLearner(schedule, "cpu") if sees != "rgb" else None
+    made = Learner(shape, schedule, "cpu", "policy", masks)
     generator = torch.Generator().manual_seed(seed)
-    for trained in (made.trained, made.masks.trained):
+    for trained in [made.trained] + ([masks.trained] if masks else []):
         for name, value in trained.network.state_dict().items():
             if value.dtype.is_floating_point:
                 offset = 0.5 if name.endswith("running_var") else 0.0
@@ -68,3 +69,16 @@ def test_weights_of_another_shape_are_refused(saved):
     """A policy without a memory cannot begin from one with a memory."""
     with pytest.raises(InputError, match="expected weights of a network of this shape"):
         learner(4, memory=0).start_from(saved)
+
+
+def test_colours_alone_begin_from_the_weights_of_colours_and_masks(saved):
+    """With a mask of zeros both networks compute the same: what the mask adds is all that is lost."""
+    made = learner(4, sees="rgb")
+    made.start_from(saved)
+    both = learner(4)
+    both.start_from(saved)
+    images = torch.from_numpy(np.random.default_rng(1).random((3, 3, 24, 32), np.float32))
+    none = torch.cat([images, torch.zeros_like(images[:, :1])], dim=1)
+    np.testing.assert_allclose(
+        made.average.encode(images).detach(), both.average.encode(none).detach(), atol=1e-5
+    )
