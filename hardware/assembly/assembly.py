@@ -25,15 +25,18 @@ from falconwing_kit.aircraft.airframe import (
     builder_airframe_path,
     load_airframe,
 )
-from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.hardware.cameras import CameraHardware, load_camera
 from falconwing_kit.tools.hardware.parts import Item, load_parts
 from falconwing_kit.tools.hardware.parts_check import PROPELLER_CLEARANCE
-from falconwing_kit.vision.marker import Marker
 
 FOLDER = Path(__file__).resolve().parent
+sys.path.insert(0, str(FOLDER))  # this folder is not a package
+
+from solids import box, rod, strap, tube  # noqa: E402
+from surroundings import ground, hall  # noqa: E402
+
 HARDWARE = FOLDER.parent
 TAPE = 1.0  # foam tape below the bracket [mm]
 SCENES = ("aircraft", "ground", "hall")
@@ -153,7 +156,12 @@ def build(sources: Sources) -> dict[str, Shape]:
     Raises:
         InputError: a shape of the file has no drawing here, or a part no place in the list.
     """
-    solids = {**aircraft(sources), **ground(sources), **hall(sources)}
+    size = sources.envelope
+    solids = {
+        **aircraft(sources),
+        **ground(size["ground"]),
+        **hall(size["hall"]["board_thickness"]),
+    }
     known, shapes = numbers(sources), {}
     for row in sources.envelope["shape"]:
         name, part = row["name"], row["part"]
@@ -194,7 +202,7 @@ def _body(sources: Sources) -> dict[str, Any]:
     chord = 1000.0 * sources.airframe.mean_chord
     top = sources.wing_top - size["wing_thickness"] / 2.0
     wide, long = 2.0 * size["cabin_half_width"], chord + 10.0
-    cabin = _box((edge - chord - 5.0, 0.0, 0.0), (long, wide, top), corner="low")
+    cabin = box((edge - chord - 5.0, 0.0, 0.0), (long, wide, top), corner="low")
     front = loft(
         [
             Plane.YZ.offset(edge + 5.0) * Pos(0.0, top / 2.0) * RectangleRounded(wide, top, 2.0),
@@ -222,8 +230,8 @@ def _wing(sources: Sources) -> dict[str, Any]:
     for name, (inner, outer, depth) in (("ailerons", size["aileron"]), ("flaps", size["flap"])):
         for side in (-1.0, 1.0):
             place = (edge - chord + depth / 2.0, side * (inner + outer) / 2.0, middle)
-            cut = _box(place, (depth + 0.2, outer - inner, 3.0 * thick))
-            keep = _box(
+            cut = box(place, (depth + 0.2, outer - inner, 3.0 * thick))
+            keep = box(
                 (place[0] - gap / 2.0, place[1], middle),
                 (depth - gap, outer - inner - gap, 3.0 * thick),
             )
@@ -251,21 +259,21 @@ def _tail(sources: Sources) -> dict[str, Any]:
     base = size["fuselage"][-1][2] - thick
     hinge = end + depth
     found = {
-        "stabiliser": _box((hinge, -half, base), (chord - depth, 2.0 * half, thick), corner="low"),
-        "elevator": _box((end, -half, base), (depth - gap, 2.0 * half, thick), corner="low"),
-        "fin": _box(
+        "stabiliser": box((hinge, -half, base), (chord - depth, 2.0 * half, thick), corner="low"),
+        "elevator": box((end, -half, base), (depth - gap, 2.0 * half, thick), corner="low"),
+        "fin": box(
             (hinge, -thick / 2.0, base + thick),
             (chord - depth, thick, top - base - thick),
             corner="low",
         ),
-        "rudder": _box(
+        "rudder": box(
             (end, -thick / 2.0, base + thick + 3.0),
             (depth - gap, thick, top - base - thick - 3.0),
             corner="low",
         ),
     }
     rods = [
-        _tube([(-60.0, side * 32.0, 8.0), (hinge - 6.0, side * 11.0, base + up)], 1.6)
+        tube([(-60.0, side * 32.0, 8.0), (hinge - 6.0, side * 11.0, base + up)], 1.6)
         for side, up in ((-1.0, -3.0), (1.0, thick + 8.0))
     ]
     return {**found, "links": Compound(children=rods)}
@@ -282,27 +290,27 @@ def _running(sources: Sources) -> dict[str, Any]:
         x, y, z = places[key]
         hub = (x, y, z + wheel / 2.0)
         legs += [
-            _rod((x, y - wide / 2.0, hub[2]), (x, y + wide / 2.0, hub[2]), wheel),
-            _tube([(x - 8.0, 0.4 * y / abs(y) * 40.0, -32.0), hub], 3.0),
+            rod((x, y - wide / 2.0, hub[2]), (x, y + wide / 2.0, hub[2]), wheel),
+            tube([(x - 8.0, 0.4 * y / abs(y) * 40.0, -32.0), hub], 3.0),
         ]
     x, y, z = places["tail"]
     small = wheel / 2.0
     tail = [
-        _rod((x, -wide / 4.0, z + small / 2.0), (x, wide / 4.0, z + small / 2.0), small),
-        _tube([(x + 6.0, 0.0, 4.0), (x, 0.0, z + small / 2.0)], 2.0),
+        rod((x, -wide / 4.0, z + small / 2.0), (x, wide / 4.0, z + small / 2.0), small),
+        tube([(x + 6.0, 0.0, 4.0), (x, 0.0, z + small / 2.0)], 2.0),
     ]
     disc, diameter = _disc(sources), 1000.0 * _propeller(sources).diameter
     shaft, long = size["motor"]
     blade, thick = size["blade"]
     face = size["fuselage"][0][0]
     blades = [
-        _box((disc - thick / 2.0, 0.0, 0.0), (thick, blade, diameter)),
-        _rod((face + 2.0, 0.0, 0.0), (disc, 0.0, 0.0), 18.0, 8.0),
+        box((disc - thick / 2.0, 0.0, 0.0), (thick, blade, diameter)),
+        rod((face + 2.0, 0.0, 0.0), (disc, 0.0, 0.0), 18.0, 8.0),
     ]
     return {
         "main gear": Compound(children=legs),
         "tail wheel": Compound(children=tail),
-        "motor": _rod((face - long, 0.0, 0.0), (face + 1.0, 0.0, 0.0), shaft),
+        "motor": rod((face - long, 0.0, 0.0), (face + 1.0, 0.0, 0.0), shaft),
         "propeller": Compound(children=blades),
     }
 
@@ -311,17 +319,19 @@ def _added(sources: Sources) -> dict[str, Any]:
     """What the builder adds: each along the fuselage where the list has it."""
     from build123d import Compound, Pos
 
-    size, box = sources.envelope["aircraft"], sources.camera.body_mm
+    size, camera = sources.envelope["aircraft"], sources.camera.body_mm
     lens, up = sources.lens, sources.lens[2]
     screw_line = sources.ahead("camera_analog")
-    back = screw_line - box.depth_behind
-    body = _box(
-        (back, lens[1] - box.width / 2.0, up - box.height / 2.0),
-        (box.depth_behind + 0.4 * box.lens_ahead, box.width, box.height),
+    back = screw_line - camera.depth_behind
+    body = box(
+        (back, lens[1] - camera.width / 2.0, up - camera.height / 2.0),
+        (camera.depth_behind + 0.4 * camera.lens_ahead, camera.width, camera.height),
         corner="low",
     )
-    tip = screw_line + box.lens_ahead
-    optic = _rod((tip - 0.7 * box.lens_ahead, lens[1], up), (tip, lens[1], up), 0.6 * box.height)
+    tip = screw_line + camera.lens_ahead
+    optic = rod(
+        (tip - 0.7 * camera.lens_ahead, lens[1], up), (tip, lens[1], up), 0.6 * camera.height
+    )
     wide, high = size["antenna"]
     bracket = Pos(_bracket_at(sources), 0.0, sources.wing_top + TAPE) * script("bracket").build(
         sources.camera
@@ -329,43 +339,43 @@ def _added(sources: Sources) -> dict[str, Any]:
     low, far = bracket.bounding_box().min, bracket.bounding_box().max
     screws = []
     for side in (-1.0, 1.0):
-        y = side * (box.width / 2.0 + 2.4)
+        y = side * (camera.width / 2.0 + 2.4)
         screws += [
-            _rod((screw_line, y - side * 4.0, up), (screw_line, y, up), 2.0),
-            _rod((screw_line, y, up), (screw_line, y + side * 1.5, up), 3.8),
+            rod((screw_line, y - side * 4.0, up), (screw_line, y, up), 2.0),
+            rod((screw_line, y, up), (screw_line, y + side * 1.5, up), 3.8),
         ]
-    strap, thin, reach = size["band"]
+    across, thin, reach = size["band"]
     behind = low.X + 8.0
     band = [
-        _box((behind, 0.0, sources.wing_top + TAPE + 2.2), (strap, 2.0 * 9.0, thin)),
+        box((behind, 0.0, sources.wing_top + TAPE + 2.2), (across, 2.0 * 9.0, thin)),
         *(
-            _tube_flat(
+            strap(
                 [(behind, side * 9.0, sources.wing_top + TAPE + 2.2),
                  (behind, side * 14.0, sources.wing_top + 0.5),
                  (behind, side * reach, sources.wing_top + 0.3)],
-                strap, thin,
+                across, thin,
             )
             for side in (-1.0, 1.0)
         ),
     ]  # fmt: skip
     found = {
         "camera": body + optic,
-        "antenna": _rod((back + 2.0, 4.0, up + box.height / 2.0),
-                        (back - 4.0, 4.0, up + box.height / 2.0 + high), wide),
+        "antenna": rod((back + 2.0, 4.0, up + camera.height / 2.0),
+                        (back - 4.0, 4.0, up + camera.height / 2.0 + high), wide),
         "bracket": bracket,
         "screws": Compound(children=screws),
-        "foam tape": _box((low.X, low.Y, sources.wing_top),
+        "foam tape": box((low.X, low.Y, sources.wing_top),
                           (far.X - low.X - 2.0, far.Y - low.Y, TAPE), corner="low"),
         "band": Compound(children=band),
-        "battery": _box((sources.ahead("battery"), 0.0, size["battery_up"]), size["battery"]),
-        "receiver": _box((sources.leading_edge - size["receiver_x"], 0.0, size["receiver_up"]),
+        "battery": box((sources.ahead("battery"), 0.0, size["battery_up"]), size["battery"]),
+        "receiver": box((sources.leading_edge - size["receiver_x"], 0.0, size["receiver_up"]),
                          size["receiver"]),
         "balance jig": _jig_in_place(sources),
     }  # fmt: skip
     for name in ("inductor", "capacitor", "resistor"):
         thick, long, left, height = size[name]
         x = sources.ahead(f"filter_{name}")
-        found[name] = _rod((x - long / 2.0, left, height), (x + long / 2.0, left, height), thick)
+        found[name] = rod((x - long / 2.0, left, height), (x + long / 2.0, left, height), thick)
     x = sources.ahead("wires")
     start, out = sources.ahead("battery") - size["battery"][0] / 2.0, size["resistor"][2]
     path = [
@@ -376,7 +386,7 @@ def _added(sources: Sources) -> dict[str, Any]:
         (back - 3.0, out + 6.0, up - 4.0),
         (back, 4.0, up - 2.0),
     ]
-    return {**found, "wires": _tube(path, size["wire"])}
+    return {**found, "wires": tube(path, size["wire"])}
 
 
 def _bracket_at(sources: Sources) -> float:
@@ -407,176 +417,6 @@ def _propeller(sources: Sources) -> Any:
     return sources.airframe.propeller
 
 
-def ground(sources: Sources) -> dict[str, Any]:
-    """Solids of the bench: x to the right, y away from the builder, z up, the board at the origin."""
-    from build123d import Compound
-
-    size = sources.envelope["ground"]
-    wide, deep, thin = size["board"]
-    sockets = [
-        _box((0.6, 8.0, thin), (12.0, 12.0, 11.0), corner="low"),  # USB
-        _box((0.6, 34.0, thin), (14.0, 9.0, 11.0), corner="low"),  # supply
-        _box((22.0, deep - 3.6, thin), (72.0, 2.5, 8.5), corner="low"),
-        _box((26.0, 1.2, thin), (62.0, 2.5, 8.5), corner="low"),
-        _box((94.0, 6.0, thin), (5.0, 44.0, 8.5), corner="low"),  # pins 22 to 53
-        _box((48.0, 20.0, thin), (14.0, 14.0, 1.6), corner="low"),
-    ]
-    board = [_box((0.0, 0.0, 0.0), (wide, deep, thin), corner="low"), *sockets]
-    thick, long = size["plug"]
-    lead = _lead([(44.0, deep - 2.0, 12.0), (60.0, 95.0, 8.0), (150.0, 118.0, 8.0)], 3, thick, long)
-    second = _lead([(97.0, 12.0, 12.0), (125.0, 30.0, 8.0), (190.0, 60.0, 8.0)], 1, thick, long)
-    w, h, d = size["transmitter"]
-    left, away = 225.0, 75.0
-    radio = [
-        _box((left, away, 0.0), (w, h, d), corner="low"),
-        *(
-            part
-            for x in (0.27, 0.73)
-            for part in (
-                _rod((left + x * w, away + 0.52 * h, d), (left + x * w, away + 0.52 * h, d + 5.0), 46.0),
-                _rod((left + x * w, away + 0.52 * h, d), (left + x * w, away + 0.52 * h, d + 28.0), 7.0),
-            )
-        ),
-        _box((left + 0.36 * w, away + 0.08 * h, d), (0.28 * w, 0.24 * h, 1.5), corner="low"),
-        _rod((left + 0.5 * w, away + h, 0.6 * d), (left + 0.5 * w, away + h + 85.0, 0.9 * d), 9.0),
-        _rod((left + 0.12 * w, away + 0.92 * h, d), (left + 0.12 * w, away + 0.92 * h, d + 16.0), 5.0),
-    ]  # fmt: skip
-    v, s = size["video_receiver"], size["capture_card"]
-    video = [
-        _box((-150.0, 175.0, 0.0), v, corner="low"),
-        *(
-            _rod((-150.0 + x, 175.0 + v[1], 14.0), (-150.0 + x, 175.0 + v[1] + 8.0, 80.0), 7.0)
-            for x in (14.0, v[0] - 14.0)
-        ),
-    ]
-    card = [
-        _box((-45.0, 188.0, 0.0), s, corner="low"),
-        _tube([(-150.0 + v[0], 200.0, 10.0), (-60.0, 200.0, 8.0), (-45.0, 200.0, 6.0)], 4.0),
-        _tube([(-45.0 + s[0], 200.0, 6.0), (40.0, 215.0, 5.0), (60.0, 250.0, 8.0)], 4.0),
-    ]
-    c = size["computer"]
-    laptop = [
-        _box((60.0, 220.0, 0.0), c, corner="low"),
-        _box((78.0, 232.0, c[2]), (c[0] - 36.0, 95.0, 1.5), corner="low"),
-        _box((60.0, 220.0 + c[1], c[2]), (c[0], 8.0, c[1]), corner="low"),
-    ]
-    scale, charger, bag = size["scale"], size["charger"], size["charge_bag"]
-    meter, iron = size["multimeter"], size["iron"]
-    return {
-        "board": Compound(children=board),
-        "lead": lead,
-        "measuring lead": second,
-        "reset capacitor": _rod((52.0, 2.4, 12.0), (52.0, 2.4, 23.0), 5.0),
-        "transmitter": Compound(children=radio),
-        "video receiver": Compound(children=video),
-        "capture card": Compound(children=card),
-        "computer": Compound(children=laptop),
-        "scale": Compound(
-            children=[
-                _box((0.0, 0.0, 0.0), scale, corner="low"),
-                _rod((65.0, 75.0, scale[2]), (65.0, 75.0, scale[2] + 4.0), 96.0),
-                _box((40.0, 5.0, scale[2]), (50.0, 16.0, 1.5), corner="low"),
-            ]
-        ),
-        "charger": Compound(
-            children=[
-                _box((0.0, 190.0, 0.0), charger, corner="low"),
-                _box((15.0, 215.0, charger[2]), (60.0, 25.0, 1.5), corner="low"),
-                _tube([(charger[0], 220.0, 12.0), (120.0, 215.0, 6.0), (150.0, 190.0, 8.0)], 4.0),
-            ]
-        ),
-        "charge bag": Compound(
-            children=[
-                _box((130.0, 60.0, 0.0), (bag[0], bag[1], 3.0), corner="low"),
-                _box((130.0, 60.0, 3.0), (3.0, bag[1], bag[2]), corner="low"),
-                _box((127.0 + bag[0], 60.0, 3.0), (3.0, bag[1], bag[2]), corner="low"),
-                _box((130.0, 57.0 + bag[1], 3.0), (bag[0], 3.0, bag[2]), corner="low"),
-            ]
-        ),
-        "multimeter": Compound(
-            children=[
-                _box((-130.0, 0.0, 0.0), meter, corner="low"),
-                _box((-122.0, 95.0, meter[2]), (meter[0] - 16.0, 38.0, 1.5), corner="low"),
-                _rod((-92.0, 60.0, meter[2]), (-92.0, 60.0, meter[2] + 6.0), 36.0),
-                _tube([(-105.0, 8.0, 36.0), (-70.0, -40.0, 6.0), (20.0, -30.0, 6.0),
-                       (44.0, -8.0, 14.0), (44.0, 6.0, 26.0)], 4.0),
-            ]
-        ),  # fmt: skip
-        "soldering iron": Compound(
-            children=[
-                _rod((115.0, 150.0, 16.0), (170.0, 205.0, 60.0), iron[0]),
-                _rod((88.0, 123.0, 3.0), (115.0, 150.0, 16.0), 2.0, 6.0),
-                _tube([(170.0, 205.0, 60.0), (200.0, 240.0, 30.0), (190.0, 290.0, 4.0)], 5.0),
-            ]
-        ),
-    }  # fmt: skip
-
-
-def _lead(path: Sequence[Point], resistors: int, thick: float, long: float) -> Any:
-    """A cable with its resistors on the way and a plug at its end."""
-    from build123d import Compound
-
-    (ax, ay, az), (bx, by, bz) = path[-2], path[-1]
-    parts = [_tube(path, 2.4)]
-    for k in range(resistors):
-        share = 0.25 + 0.2 * k
-        x, y, z = ax + share * (bx - ax), ay + share * (by - ay), az + share * (bz - az)
-        parts.append(_rod((x, y, z), (x + 0.1 * (bx - ax), y + 0.1 * (by - ay), z), 7.0))
-    parts += [
-        _rod((bx, by, bz), (bx + 22.0, by + 5.0, bz), 9.0),
-        _rod((bx + 22.0, by + 5.0, bz), (bx + 22.0 + long, by + 5.0 + long / 4.4, bz), thick),
-    ]
-    return Compound(children=parts)
-
-
-def hall(sources: Sources) -> dict[str, Any]:
-    """Pad and the marker's board where simulator and detector have them; x along the runway."""
-    pad, marker = LandingPad(), Marker()
-    x, y = 1000.0 * pad.x_start, 1000.0 * (pad.y_centre - pad.width / 2.0)
-    mat = _box((x, y, 0.0), (1000.0 * pad.length, 1000.0 * pad.width, 1000.0 * pad.height),
-               corner="low")  # fmt: skip
-    thick = sources.envelope["hall"]["board_thickness"]
-    side, cells = 1000.0 * marker.size, cells_of(marker)
-    quiet = side * (len(cells) + 2) / len(cells)  # a white cell on each side
-    cx, cy, cz = (1000.0 * float(value) for value in marker.T_world_marker[:3, 3])
-    board = _box((cx + thick / 2.0, cy, cz), (thick, quiet, quiet))
-    return {"pad": mat, "marker": board}
-
-
-def marker_cells() -> Any:
-    """The marker's black cells, on the side that faces the approach [mm]."""
-    from build123d import Compound
-
-    marker = Marker()
-    side, cells = 1000.0 * marker.size, cells_of(marker)
-    cx, cy, cz = (1000.0 * float(value) for value in marker.T_world_marker[:3, 3])
-    cell, parts = side / len(cells), []
-    for row, line in enumerate(cells):
-        for column, black in enumerate(line):
-            if black:
-                left = cy + side / 2.0 - (column + 0.5) * cell
-                up = cz + side / 2.0 - (row + 0.5) * cell
-                parts.append(_box((cx - 1.5, left, up), (3.0, cell, cell)))
-    return Compound(children=parts)
-
-
-def usb_cable() -> Any:
-    """From the board's socket to the computer on the bench."""
-    return _tube(
-        [(0.6, 14.0, 7.0), (-25.0, 20.0, 5.0), (-25.0, 150.0, 5.0), (60.0, 235.0, 8.0)], 4.0
-    )
-
-
-def cells_of(marker: Marker) -> list[list[bool]]:
-    """The marker's cells, black ones True, border included, from its upper left [OpenCV]."""
-    import cv2
-
-    names = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, marker.dictionary))
-    count = names.markerSize + 2
-    image = cv2.aruco.generateImageMarker(names, marker.id, count)
-    return [[bool(value == 0) for value in line] for line in image]
-
-
 def clearances(shapes: dict[str, Shape], sources: Sources) -> dict[str, float]:
     """Distances that the build depends on, computed from the solids [mm].
 
@@ -605,7 +445,7 @@ def clearances(shapes: dict[str, Shape], sources: Sources) -> dict[str, float]:
 
 
 def find_problems(shapes: dict[str, Shape], sources: Sources) -> list[str]:
-    """What of the assembly does not fit, a sentence each with number and part; empty if all does."""
+    """What of the assembly does not fit, a sentence each with number and part; empty if it does."""
     found, sentences = clearances(shapes, sources), []
     least = 1000.0 * PROPELLER_CLEARANCE
     if found["disc_gap"] < least:
@@ -615,8 +455,8 @@ def find_problems(shapes: dict[str, Shape], sources: Sources) -> list[str]:
         )
     if found["battery_outside"] > 1e-3:
         sentences.append(
-            f"battery: expected it inside the fuselage, got {100.0 * found['battery_outside']:.0f} %"
-            " of it outside; correct its x_mm in the parts list"
+            "battery: expected it inside the fuselage, got "
+            f"{100.0 * found['battery_outside']:.0f} % of it outside; correct its x_mm in the list"
         )
     if abs(found["lens_edge"] - (sources.lens[0] - sources.leading_edge)) > 2.0:
         sentences.append(
@@ -650,46 +490,6 @@ def _drawn(point: Sequence[float]) -> Point:
     return x, -y, -z
 
 
-def _box(place: Sequence[float], size: Sequence[float], corner: str = "") -> Any:
-    """A box by its middle, or with corner "low" by its lowest corner."""
-    from build123d import Align, Box, Pos
-
-    align = (Align.MIN if corner else Align.CENTER,) * 3
-    return Pos(*place) * Box(*size, align=align)
-
-
-def _rod(begin: Sequence[float], end: Sequence[float], *diameters: float) -> Any:
-    """A cylinder from point to point, or a cone with two diameters."""
-    from build123d import Plane, Solid, Vector
-
-    along = Vector(*end) - Vector(*begin)
-    plane = Plane(origin=tuple(begin), z_dir=tuple(along))
-    first, last = diameters[0] / 2.0, diameters[-1] / 2.0
-    if len(diameters) == 1 or first == last:
-        return Solid.make_cylinder(first, along.length, plane)
-    return Solid.make_cone(first, last, along.length, plane)
-
-
-def _tube(path: Sequence[Sequence[float]], diameter: float) -> Any:
-    """Cylinders along a path, with balls at its corners."""
-    from build123d import Compound, Plane, Solid
-
-    rods = [_rod(a, b, diameter) for a, b in zip(path, path[1:], strict=False)]
-    balls = [Solid.make_sphere(diameter / 2.0, Plane(tuple(point))) for point in path[1:-1]]
-    return Compound(children=[*rods, *balls])
-
-
-def _tube_flat(path: Sequence[Point], wide: float, thick: float) -> Any:
-    """A strap along a path across the aircraft, `wide` along x."""
-    from build123d import Compound, Plane, Polygon, Pos, extrude
-
-    parts = []
-    for (x, y, z), (_, v, w) in zip(path, path[1:], strict=False):
-        flat = Polygon((y, z), (v, w), (v, w + thick), (y, z + thick), align=None)
-        parts.append(Pos(x, 0.0, 0.0) * extrude(Plane.YZ * flat, wide / 2.0, both=True))
-    return Compound(children=parts)
-
-
 def main(words: list[str] | None = None) -> int:
     """Write the aircraft as STEP, print each shape's place, and check the clearances.
 
@@ -720,18 +520,17 @@ def main(words: list[str] | None = None) -> int:
         export_step(Compound(children=[shape.solid for shape in flying]), Path(file.name))
     print("no.  shape            part             x behind leading edge [mm]")
     for shape in flying:
-        box = shape.solid.bounding_box()
+        bounds = shape.solid.bounding_box()
         edge = sources.leading_edge
         print(
-            f"{shape.number:4} {shape.name:16} {shape.part:16} {edge - box.max.X:6.1f} to "
-            f"{edge - box.min.X:6.1f}"
+            f"{shape.number:4} {shape.name:16} {shape.part:16} {edge - bounds.max.X:6.1f} to "
+            f"{edge - bounds.min.X:6.1f}"
         )
     problems = find_problems(shapes, sources)
     for sentence in problems:
         print(sentence)
     print(", ".join(f"{key} {value:.2f}" for key, value in clearances(shapes, sources).items()))
     return 1 if problems else 0
-
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Pictures of the assembly: manual/assembly.toml and the assembly's solids -> PNG with descriptions.
+"""Pictures of the assembly: manual/assembly.toml and its solids -> PNG files with descriptions.
 
     .venv/bin/python hardware/assembly/draw.py                 all of them, in half a minute
     .venv/bin/python hardware/assembly/draw.py wing exploded   these
@@ -158,9 +158,7 @@ def _edges(
     """Pixels on outlines (another part or a step in depth) and on creases (another direction)."""
     outline, crease = (np.zeros(owner.shape, dtype=bool) for _ in range(2))
     for axis in (0, 1):
-        here, there = (
-            (np.s_[:-1], np.s_[1:]) if axis == 0 else (np.s_[:, :-1], np.s_[:, 1:])
-        )
+        here, there = (np.s_[:-1], np.s_[1:]) if axis == 0 else (np.s_[:, :-1], np.s_[:, 1:])
         both = (owner[here] >= 0) & (owner[there] >= 0)
         # A plane seen at a grazing angle has steps too: only a jump that no neighbour continues.
         with np.errstate(invalid="ignore"):
@@ -186,13 +184,22 @@ def compose(parts: Sequence[Part], view: View) -> tuple[Mesh, NDArray[np.int64]]
     return SEE_THROUGH * image + (1.0 - SEE_THROUGH) * solid, np.where(places >= 0, places, owner)
 
 
-def fit(points: Mesh, axes: Mesh, size: tuple[int, int], margin: tuple[int, int]) -> View:
-    """The view that shows all points (N, 3) within a margin [px] of the final image."""
+def fit(points: Mesh, axes: Mesh, size: tuple[int, int], margin: tuple[int, int, int]) -> View:
+    """The view that shows all points.
+
+    Args:
+        points: (..., 3) [mm].
+        axes: of `axes_of`.
+        size: of the final image [px].
+        margin: left, right, and above as well as below [px].
+    """
     seen = points.reshape(-1, 3) @ axes.T
     low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
-    room = np.array(size) - 2.0 * np.array(margin)
+    left, right, above = margin
+    room = np.array([size[0] - left - right, size[1] - 2.0 * above])
     scale = float(np.min(room / np.maximum(high - low, 1e-6)))
-    return View(axes, SMOOTH * scale, (low + high) / 2.0, (SMOOTH * size[0], SMOOTH * size[1]))
+    middle = (low + high) / 2.0 + np.array([(right - left) / 2.0 / scale, 0.0])
+    return View(axes, SMOOTH * scale, middle, (SMOOTH * size[0], SMOOTH * size[1]))
 
 
 class Sheet:
@@ -242,11 +249,25 @@ class Sheet:
                 corners = [tip + way * grow, base + wing - way * grow, base - wing - way * grow]
                 self.pen.polygon([tuple(corner) for corner in corners], fill=colour)
 
-    def callouts(self, anchors: Iterable[tuple[str, Mesh]]) -> None:
-        """Labels in two columns beside the drawing, with lines to their parts that do not cross."""
+    def callouts(
+        self, anchors: Iterable[tuple[str, Mesh]], left_side: dict[str, bool] | None = None
+    ) -> None:
+        """Labels in two columns beside the drawing, with lines to their parts.
+
+        Args:
+            anchors: label and seen pixel of each part.
+            left_side: whether a label belongs into the left column; None shares them out.
+        """
         wide, high = self.image.size
         placed = list(anchors)
-        sides = _sides(placed, wide)
+        if left_side is None:
+            sides = _sides(placed, wide)
+        else:
+            ordered = sorted(placed, key=lambda each: float(each[1][1]))
+            sides = {
+                left: [each for each in ordered if left_side[each[0]] == left]
+                for left in (True, False)
+            }
         step = 1.62 * SMOOTH * TEXT_PX
         for left, column in sides.items():
             group = _uncrossed(column, 0.0 if left else float(wide), step)
@@ -258,9 +279,7 @@ class Sheet:
                 self.pen.line([(edge, row), tuple(at)], fill=(255, 255, 255), width=4 * SMOOTH)
                 self.pen.line([(edge, row), tuple(at)], fill=DARK, width=SMOOTH)
                 dot = 4 * SMOOTH
-                self.pen.ellipse(
-                    (at[0] - dot, at[1] - dot, at[0] + dot, at[1] + dot), fill=DARK
-                )
+                self.pen.ellipse((at[0] - dot, at[1] - dot, at[0] + dot, at[1] + dot), fill=DARK)
                 self.text_box((x, row), text)
 
     def png(self) -> bytes:
@@ -287,7 +306,7 @@ def _palette() -> Any:
     veil = 255.0 + SEE_THROUGH * (NEW - 255.0)  # a coloured ghost
     colours += [veil + share * (240.0 - veil) for share in shares]
     image = Image.new("P", (1, 1))
-    image.putpalette([int(round(value)) for colour in colours for value in colour])
+    image.putpalette([round(value) for colour in colours for value in colour])
     return image
 
 
@@ -389,7 +408,9 @@ class Book:
             *picture.get("adds", []), *picture.get("marks", []), *picture.get("takes", [])
         ]  # fmt: skip
         names = picture.get("show", [*self.built(step), *new])
-        names = [name for name in dict.fromkeys([*names, *new]) if name not in picture.get("hide", [])]
+        names = [
+            name for name in dict.fromkeys([*names, *new]) if name not in picture.get("hide", [])
+        ]
         aside = picture.get("apart", [*picture.get("adds", []), *picture.get("takes", [])])
         share = float(picture.get("share", 0.6))
         found = []
@@ -412,11 +433,20 @@ class Book:
         axes = axes_of(*picture.get("view", (35.0, 26.0)))
         grow = float(picture.get("room", 1.0))
         named = picture.get("names", [part.name for part in parts if part.new])
-        longest = max((len(part.label) for part in parts if part.name in named), default=0)
-        margin = (max(int(165 * grow), int(0.62 * TEXT_PX * longest) + 30), int(48 * grow))
         lengths = [MEASURES[name](self.sources) for name in picture.get("measures", [])]
         points += [np.array([begin, end, end]) for begin, end, _ in lengths]
-        view = fit(np.concatenate([each.reshape(-1, 3) for each in points]), axes, SIZE, margin)
+        cloud = np.concatenate([each.reshape(-1, 3) for each in points])
+        across = np.array([float(np.ptp(cloud @ axes[0])), float((cloud @ axes[0]).min())])
+        longest = {True: 0, False: 0}  # of the labels left and right
+        left = {}
+        for part in parts:
+            if part.name in named:
+                place = float(np.median(part.mesh.reshape(-1, 3) @ axes[0]))
+                left[part.label] = place < across[1] + across[0] / 2.0
+                side = left[part.label]
+                longest[side] = max(longest[side], len(part.label))
+        sides = [int(0.62 * TEXT_PX * longest[side]) + 50 for side in (True, False)]
+        view = fit(cloud, axes, SIZE, (sides[0], sides[1], int(48 * grow)))
         image, owner = compose(parts, view)
         sheet = Sheet(image)
         self._arrows(sheet, step, parts, view)
@@ -430,7 +460,7 @@ class Book:
             for k, part in enumerate(parts)
             if part.name in named and (at := anchor(owner, k)) is not None
         ]
-        sheet.callouts(anchors)
+        sheet.callouts(anchors, left)
         return sheet.png(), self.describe(step, parts, [text for text, _ in anchors])
 
     def _arrows(self, sheet: Sheet, step: dict[str, Any], parts: list[Part], view: View) -> None:
@@ -494,14 +524,12 @@ class Book:
                 label = f"{shape.number} {shape.name}"
                 parts.append(Part(shape.name, label, mesh, added, False, moved))
         view = fit(
-            np.concatenate([part.mesh for part in parts]), axes_of(52.0, 24.0), WIDE, (165, 30)
+            np.concatenate([part.mesh for part in parts]), axes_of(52.0, 24.0), WIDE, (165, 165, 30)
         )
         image, owner = shaded(parts, view)
         sheet = Sheet(image)
         anchors = [
-            (part.label, at)
-            for k, part in enumerate(parts)
-            if (at := anchor(owner, k)) is not None
+            (part.label, at) for k, part in enumerate(parts) if (at := anchor(owner, k)) is not None
         ]
         sheet.callouts(anchors)
         bought = [part.label for part in parts if not part.new]
@@ -513,11 +541,11 @@ class Book:
 
 
 def _aircraft_at(book: Book, x: float, y: float, z: float) -> Mesh:
-    """The finished aircraft in the hall, nose along the runway, wheels at a height [mm]."""
+    """The aircraft without its propeller in the hall, nose along the runway, on its wheels [mm]."""
     names = [
         shape.name
         for shape in book.shapes.values()
-        if shape.scene == "aircraft" and shape.name not in ("balance jig", "band")
+        if shape.scene == "aircraft" and shape.name not in ("balance jig", "propeller")
     ]
     mesh = np.concatenate([book.mesh(name) for name in names])
     return mesh + np.array([x, y, z - mesh[..., 2].min()])
@@ -558,8 +586,11 @@ EXTRAS = {  # drawn to show scale and use; no parts of the list
         book, 1000.0 * PAD.x_start + 1200.0, 1000.0 * PAD.y_centre, 1000.0 * PAD.height
     ),
     "safety pilot": lambda book: _person_at(book, -2500.0, 1000.0 * PAD.y_centre + 1800.0),
-    "black cells": lambda book: triangles(assembly_script().marker_cells()),
-    "cable": lambda book: triangles(assembly_script().usb_cable()),
+    "helper": lambda book: _person_at(
+        book, 1000.0 * PAD.x_start + 1500.0, 1000.0 * PAD.y_centre + 700.0
+    ),
+    "black cells": lambda book: triangles(surroundings().marker_cells()),
+    "cable": lambda book: triangles(surroundings().usb_cable()),
     "jig as printed": lambda book: triangles(_jig_as_printed(book.sources)),
     "battery in its bag": lambda book: triangles(_battery_at(book.sources, 240.0, 130.0)),
 }
@@ -592,8 +623,10 @@ def _measure_marker(sources: Any) -> tuple[Any, Any, str]:
     marker = Marker()
     x, y, z = (1000.0 * float(value) for value in marker.T_world_marker[:3, 3])
     half = 500.0 * marker.size
-    return (x, y + half, z - 1.75 * half), (x, y - half, z - 1.75 * half), (
-        f"black square {1000.0 * marker.size:.0f} mm"
+    return (
+        (x, y + half, z - 1.75 * half),
+        (x, y - half, z - 1.75 * half),
+        (f"black square {1000.0 * marker.size:.0f} mm"),
     )
 
 
@@ -627,9 +660,14 @@ def assembly_script() -> Any:
     if spec is None or spec.loader is None:
         raise ImportError("assembly.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules.setdefault("assembly", module)  # its records need it
     spec.loader.exec_module(module)
     return module
+
+
+def surroundings() -> Any:
+    """The module surroundings.py beside this one."""
+    assembly_script()  # which puts this folder on the path
+    return importlib.import_module("surroundings")
 
 
 def main(words: list[str] | None = None) -> int:

@@ -101,9 +101,7 @@ def stand(wing: Wing) -> Any:
     straight = RIDGE_HEIGHT - RIDGE / 2.0
     ridge = Pos(-RIDGE / 2.0, 0, 0) * Box(RIDGE, WIDE, straight, align=on_bed)
     ridge += Pos(0, 0, straight) * Rot(90, 0, 0) * Cylinder(RIDGE / 2.0, WIDE)
-    wall = Pos(inner, 0, 0) * Box(
-        WALL, WIDE, RIDGE_HEIGHT + wing.thickness + OVER, align=on_bed
-    )
+    wall = Pos(inner, 0, 0) * Box(WALL, WIDE, RIDGE_HEIGHT + wing.thickness + OVER, align=on_bed)
     return base + ridge + wall
 
 
