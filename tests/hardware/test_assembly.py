@@ -13,9 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from falconwing_kit.aircraft.sizing import largest_mass
 from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.hardware.parts import balance_move, roll_up
 from falconwing_kit.tools.hardware.parts_check import PROPELLER_CLEARANCE
+from falconwing_kit.tools.hardware.prints import CHECK_MM, CHECK_TOLERANCE_MM
+from falconwing_kit.trainer_port.safety import SafetyConfig
 from falconwing_kit.vision.marker import Marker
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -161,11 +165,13 @@ def test_nothing_collides_in_the_kits_own_assembly(shapes, sources):
         ("camera_analog", 20.0, ("bracket: expected its holes", "-7.8 mm off")),
         ("bracket", 26.0, ("bracket: expected its holes", "+10.2 mm off")),
         ("battery", -145.0, ("battery: expected it inside", "outside")),
+        ("battery", 20.0, ("battery: expected it clear of receiver", "shared")),
     ],
 )
 def test_planted_place_is_said_with_the_part(sources, part, x_mm, words):
     """By hand: a lens at 36 + 140 + 12 = 188 mm is 12 mm behind the disc; the camera 8 mm back has
-    its lens at 28. A battery of 45 mm around 145 mm ahead ends 3 mm behind the spinner's front.
+    its lens at 28. A battery of 45 mm around 145 mm ahead ends 3 mm behind the spinner's front; one
+    20 mm behind the leading edge ends at 42.5 mm, and the receiver begins at 16 mm.
     """
     there = moved(sources, part, x_mm)
     found = assembly.find_problems(assembly.build(there), there)
@@ -295,7 +301,19 @@ def test_numbers_in_the_steps_are_the_files(sources, shapes):
     assert f"{supply.high_v:.1f} V at most" in text["charge"]
     power = sources.camera.power_filter
     assert f"about {power.damping_ohm + power.coil_ohm:.1f} ohm" in text["filter_check"]
+    back = 1000.0 * balance_move(sources.items, "battery", wing.mark / 1000.0)
+    ahead = wing.mark - 1000.0 * roll_up(sources.items).x_cg
+    assert f"{back:.0f} mm back takes the balance {ahead:.0f} mm back" in text["balance"]
+    mass_g = 1000.0 * roll_up(sources.items).mass
+    largest_g = 1000.0 * float(largest_mass(27.0, sources.airframe, margin=2.0, hold_height=True))
+    assert f"weighs {mass_g:.1f} g of {largest_g:.0f} g" in text["weigh"]
+    board = SafetyConfig()
+    assert f"more than {board.pilot_moved_us // 10} % of its travel" in text["supervisor"]
+    assert f"within {board.host_timeout_ms} ms" in text["supervisor"]
+    assert f"check line is {CHECK_MM:.0f} mm within {CHECK_TOLERANCE_MM} mm" in text["marker"]
+    assert f"At most {assembly.script('bracket').LARGEST_G:.0f} g" in text["bracket"]
     pad, marker = LandingPad(), Marker()
+    assert f"the board {1000.0 * marker.size * 8.0 / 6.0:.0f} mm" in text["marker"]
     assert f"{pad.length:g} x {pad.width:g} m and {pad.height:g} m high" in text["pad"]
     x, y, z = marker.T_world_marker[:3, 3]
     assert f"begins {pad.x_start - x:g} m behind the marker" in text["pad"]
