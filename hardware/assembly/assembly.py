@@ -377,17 +377,43 @@ def _added(sources: Sources) -> dict[str, Any]:
         thick, long, left, height = size[name]
         x = sources.ahead(f"filter_{name}")
         found[name] = rod((x - long / 2.0, left, height), (x + long / 2.0, left, height), thick)
-    x = sources.ahead("wires")
-    start, out = sources.ahead("battery") - size["battery"][0] / 2.0, size["resistor"][2]
-    path = [
-        (start, 0.0, size["battery_up"]),
-        (sources.ahead("filter_resistor"), out, size["resistor"][3] + 3.0),
-        (x + 4.0, out + 4.0, 40.0),
-        (x, out + 6.0, up - 4.0),
-        (back - 3.0, out + 6.0, up - 4.0),
-        (back, 4.0, up - 2.0),
+    return {**found, "wires": Compound(children=_wires(sources, back))}
+
+
+def _wires(sources: Sources, back: float) -> list[Any]:
+    """The plus wire: battery, resistor, inductor, the capacitor's joint, camera; it passes the wing
+    where the list has the wires.
+
+    Args:
+        sources: of `load_sources`.
+        back: of the camera's body [mm].
+    """
+    size, up = sources.envelope["aircraft"], sources.lens[2]
+    ends = {}  # front and back of each part of the filter
+    for name in ("resistor", "inductor", "capacitor"):
+        _, long, left, height = size[name]
+        x = sources.ahead(f"filter_{name}")
+        ends[name] = [(x + side * long / 2.0, left, height) for side in (1.0, -1.0)]
+    (front, rear), (coil, coil_rear), joint = (
+        ends["resistor"], ends["inductor"], ends["capacitor"][0]
+    )  # fmt: skip
+    start = sources.ahead("battery") - size["battery"][0] / 2.0
+    ahead, behind = max(coil[0], joint[0]) + 3.0, min(rear[0], coil_rear[0]) - 3.0
+    x, out = sources.ahead("wires"), front[1]
+    paths = [
+        [(start, out, size["battery_up"]), (ahead, out, front[2]), front],
+        [rear, (behind, *rear[1:]), (behind, *coil_rear[1:]), coil_rear],
+        [coil, (ahead, *coil[1:]), (ahead, *joint[1:]), joint],
+        [
+            (ahead, *joint[1:]),
+            (ahead, out / 2.0, joint[2] + 12.0),
+            (x + 4.0, out + 4.0, 40.0),
+            (x, out + 6.0, up - 4.0),
+            (back - 3.0, out + 6.0, up - 4.0),
+            (back, 4.0, up - 2.0),
+        ],
     ]
-    return {**found, "wires": tube(path, size["wire"])}
+    return [tube(path, size["wire"]) for path in paths]
 
 
 def _bracket_at(sources: Sources) -> float:
