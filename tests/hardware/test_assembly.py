@@ -149,7 +149,8 @@ def test_pad_and_marker_are_the_detectors_and_the_simulators(shapes):
 def test_nothing_collides_in_the_kits_own_assembly(shapes, sources):
     """20 mm behind the disc are required; by hand the camera's lens is 200 - 36 = 164 mm behind it
     and the wires' front 134.7 mm: the capacitor at 36 + 20 mm ends 5.5 mm further on, its wire of
-    1.6 mm turns 3 mm ahead of it, 200 - 56 - 5.5 - 3 - 0.8. Exact volumes of the CAD kernel for the rest.
+    1.6 mm turns 3 mm ahead of it, 200 - 56 - 5.5 - 3 - 0.8. Exact volumes of the CAD kernel for
+    the rest.
     """
     found = assembly.clearances(shapes, sources)
     assert assembly.find_problems(shapes, sources) == []
