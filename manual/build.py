@@ -5,8 +5,8 @@
     .venv/bin/python manual/build.py site         the site; then open build/site/index.html
 
 The manual needs the extra `manual` (typst, one wheel), the site the extra `site`. Neither is kept
-in git. Figures are redrawn by figures/make_figures.py only; the site shows the labs' outputs if
-`falconwing labs selftest --outputs build/lab_outputs` has written them.
+in git. Figures are redrawn by figures/make_figures.py and hardware/assembly/draw.py only; the site
+shows the labs' outputs if `falconwing labs selftest --outputs build/lab_outputs` has written them.
 """
 
 import argparse

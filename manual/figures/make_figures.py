@@ -4,8 +4,9 @@
     .venv/bin/python manual/figures/make_figures.py ppm hall   these
 
 Drawings are in schematics.py, simulated flights and images in flights.py, figures of the hardware
-in hardware/. Here: views of halls, and the demo's results for recorded flights. Run it again when
-these change.
+in hardware/; pictures of the assembly's steps by hardware/assembly/draw.py, which needs the extra
+`cad`. Here: views of halls, and the demo's results for recorded flights. Run it again when these
+change.
 """
 
 import argparse

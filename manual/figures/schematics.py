@@ -226,7 +226,7 @@ def draw_hours(path: Path) -> str:
     with (MANUAL / "assembly.toml").open("rb") as file:
         steps = tomllib.load(file)["steps"]
     total = 0
-    with drawing(path, 6.6, 0.9 + 0.2 * len(steps)) as axes:
+    with drawing(path, 6.6, 0.9 + 0.14 * len(steps)) as axes:
         (ax,) = axes.flat
         for k, step in enumerate(steps):
             ax.barh(k, step["minutes"], left=total, color=LIGHT, edgecolor=DARK, lw=0.8)

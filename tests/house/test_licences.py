@@ -97,6 +97,7 @@ def test_every_file_has_a_licence_and_every_licence_its_full_text(names):
         ("manual/figures/make_figures.py", "CC-BY-4.0 OR MIT"),
         ("labs/lab01_sizing/lab.py", "CC-BY-4.0 OR MIT"),
         ("hardware/bracket/bracket.py", "CERN-OHL-P-2.0"),
+        ("hardware/jig/balance_jig.stl", "CERN-OHL-P-2.0"),
         (f"{DATA}/sport_cub.csv", "Apache-2.0"),
         (f"{DATA}/alfa_engine_failure.csv", "BSD-3-Clause"),
         (f"{DATA}/hall_clip/000.jpg", "CC0-1.0"),

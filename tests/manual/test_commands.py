@@ -26,11 +26,12 @@ LONG = (
     "gap",
 )  # these leave nothing for the commands after them, and test_readme types them too
 # What sets up the reader's machine or needs half a gigabyte: start.py has
-# tests/house/test_start.py, the bracket tests/hardware/test_bracket.py.
+# tests/house/test_start.py, bracket and jig tests/hardware/test_bracket.py and test_jig.py.
 MACHINE = {
     "python3 start.py demo",
     '.venv/bin/pip install -c constraints.txt -e ".[cad]"',
     ".venv/bin/python hardware/bracket/bracket.py mine.toml --out out",
+    ".venv/bin/python hardware/jig/jig.py --parts mine.csv --wing-thickness 12 --out out",
 }
 
 
