@@ -169,7 +169,6 @@ def test_chapters_are_all_there_and_say_what_comes_next():
     assert without == [
         "Repairs",
         "Troubleshooting by symptom",
-        "Trim flights",
         "Conventions and map of the paper",
         "Limits and status",
     ]
