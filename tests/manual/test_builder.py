@@ -428,11 +428,13 @@ def test_a_planted_broken_reference_stops_the_build(tmp_path, monkeypatch):
         BUILD.compiled("html", Settings())
 
 
-def test_codes_lead_to_the_chapters_pages():
+def test_codes_lead_to_the_chapters_pages(tmp_path):
     """Read from the pages as a camera would, by OpenCV: one code a chapter, each the address of a
     page that the site has.
     """
-    chapters = len(re.findall(r"<h2[^>]*>\d+ ", html()))
+    (tmp_path / "_static").mkdir()
+    book_pages(html(), Stage(tmp_path, Settings(), tmp_path / "nothing"))
+    pages = [path.stem for path in (tmp_path / "builder").glob("*.md")]
     read = set()
     for image in BUILD.compiled("png", PUBLISHED, ppi=300):
         picture = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_GRAYSCALE)
@@ -445,8 +447,8 @@ def test_codes_lead_to_the_chapters_pages():
                 read |= {text} - {""}
                 if text:
                     break
-    wanted = {f"{PUBLISHED.site_url}/builder/{k:02d}.html" for k in range(1, chapters + 1)}
-    assert read == wanted
+    assert read == {f"{PUBLISHED.site_url}/builder/{name}.html" for name in pages}
+    assert len(pages) == len(re.findall(r"<h2[^>]*>\d+ ", html())) > 20
 
 
 def test_without_a_published_place_there_is_no_code_and_no_button():
