@@ -310,7 +310,12 @@ def test_venue_agrees_with_the_kits_sizing():
     assert flight["straight_m"] == pytest.approx(length - circle - venue["margin_m"], abs=0.06)
     assert flight["reaction_m"] == round(turn)
     (people,) = [row for row in venue["rules"] if row["id"] == "people"]
-    assert f"{2 * flight['reaction_m']} m" in people["value"] and len(venue["checklist"]) >= 10
+    assert f"flight are {2 * flight['reaction_m']} m" in people["why"]
+    (net,) = [row for row in venue["rules"] if row["id"] == "net"]
+    front = venue["hall_m"][0] - circle - 0.5 * venue["margin_m"] - 2.0
+    assert flight["net_m"] == pytest.approx(front, abs=0.06)
+    assert f"2 m from it, so that the lap stays {flight['net_m']} m in front" in net["value"]
+    assert len(venue["checklist"]) >= 10
 
 
 def test_limits_of_the_trim_flights_are_computed_right():

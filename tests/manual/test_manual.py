@@ -274,7 +274,8 @@ def all_chapters():
 
 
 @pytest.mark.parametrize(
-    "name", ["loop", "aircraft", "hours", "ppm", "safety", "surfaces", "photo_lanes", "sticks"]
+    "name",
+    ["loop", "aircraft", "hours", "ppm", "safety", "surfaces", "photo_lanes", "sticks", "venue"],
 )
 def test_drawings_are_what_the_command_makes(name, tmp_path):
     """Letter by letter; numbers to a hundredth of a point, since machines round differently."""
