@@ -440,14 +440,14 @@ def draw_venue(path: Path) -> str:
         ):
             ax.plot(x, 0.5 * net, mark, ms=8, color=DARK)
             ax.text(x, -0.4, text, ha="center", va="top", fontsize=8.5)
-        ax.text(0.5 * long + 7.0, net + 0.2, f"net, {net:.0f} m from the wall", fontsize=8.5)
+        ax.text(0.5 * long + 7.0, net + 0.45, f"net, {net:.0f} m from the wall", fontsize=8.5)
         ax.text(0.5 * long, -2.0, f"{long} m", ha="center", va="top", fontsize=8.5)
         ax.text(-0.4, 0.5 * wide, f"{wide} m", rotation=90, ha="right", va="center", fontsize=8.5)
     return f"""The hall of the book from above, {long} by {wide} metres. A lap of two half circles
         and two straights of {straight:g} m is {flight["circle_m"]:g} m wide, one metre from the
-        far wall and {flight["net_m"]:g} m from a net along the near one. Behind the net, {net:.0f} m
-        from the wall: charging place with a guard, safety pilot and operator at the middle, helper
-        and class. In the middle of the hall the approach to the pad."""
+        far wall and {flight["net_m"]:g} m from a net along the near one. Behind the net,
+        {net:.0f} m from the wall: charging place with a guard, safety pilot and operator at the
+        middle, helper and class. In the middle of the hall the approach to the pad."""
 
 
 def hall_from_above(ax: Any) -> None:
