@@ -184,6 +184,8 @@ def test_menus_are_those_of_calibration_and_firmware():
     rows = {row["id"]: row for row in radio["transmitter"]}
     assert f"the {rules.engage_near_us} µs within which the board engages" in rows["trims"]["why"]
     assert f"moves by {rules.pilot_moved_us // 10} %" in rows["trainer_override"]["why"]
+    assert rows["trainer_role"]["value"].startswith(radio["trainer"]["role"] + ", wired")
+    assert rows["trainer_measure"]["value"].startswith(radio["trainer"]["role_to_measure"])
     trim = DATA["trim_flights"]["numbers"]["trim_us"]
     assert trim < rules.engage_near_us and f"{trim} µs" in rows["trims"]["value"]
     assert f"{trim / 500:.2f} of zero" in rows["trims"]["see"]
