@@ -10,12 +10,18 @@ shows the labs' outputs if `falconwing labs selftest --outputs build/lab_outputs
 """
 
 import argparse
+import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parent
+MAX_CHAPTERS = 60  # codes are made for so many and used by those that there are
+sys.path.insert(0, str(FOLDER / "site"))
+
+if TYPE_CHECKING:
+    from stage import Settings
 
 
 def main(words: list[str] | None = None) -> int:
@@ -66,22 +72,51 @@ def build_site(out: Path) -> tuple[Path]:
     """
     if out.exists() and any(out.iterdir()) and not (out / "searchindex.js").is_file():
         raise RuntimeError(f"expected an empty folder or an older site, got {out}; name another")
-    sys.path.insert(0, str(FOLDER / "site"))
     from render import render
 
     render(out.resolve(), compiled)
     return (out / "index.html",)
 
 
-def compiled(form: str, **options: Any) -> Any:
+def compiled(form: str, settings: "Settings | None" = None, **options: Any) -> Any:
     """The manual's bytes as "pdf", "html" or "png" (a list of pages), with bundled fonts only.
 
+    Args:
+        form: one of these.
+        settings: where things are published; manual/settings.toml if not given.
+
     Raises:
-        RuntimeError: the source has an error.
+        RuntimeError: the source or the settings have an error.
     """
     import typst
+    from stage import Settings
 
-    return typst.compile(str(FOLDER / "manual.typ"), format=form, **where(), **options)
+    inputs = {"published": json.dumps(published(settings or Settings.load()))}
+    return typst.compile(
+        str(FOLDER / "manual.typ"), format=form, sys_inputs=inputs, **where(), **options
+    )
+
+
+def published(settings: "Settings") -> dict[str, Any]:
+    """What the manual prints of the settings, nothing where they are empty.
+
+    Returns:
+        codes: a QR code for the site's page of each chapter, by the chapter's number, as SVG with
+            its address; labs: name and address of each notebook that can be launched.
+    """
+    from falconwing_kit.tools.classroom.qr import qr_svg
+
+    codes = {}
+    if settings.site_url:
+        for number in range(1, MAX_CHAPTERS + 1):
+            url = f"{settings.site_url}/builder/{number:02d}.html"
+            codes[str(number)] = {"url": url, "svg": qr_svg(url).decode("utf-8")}
+    notebooks = sorted((ROOT / "labs").glob("lab[0-9]*/lab[0-9]*.ipynb"))
+    labs = [
+        {"name": path.stem, "url": settings.launch_url(path.relative_to(ROOT).as_posix())}
+        for path in notebooks
+    ]
+    return {"codes": codes, "labs": [lab for lab in labs if lab["url"]]}
 
 
 def size_mb(path: Path) -> float:

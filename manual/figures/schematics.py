@@ -4,6 +4,7 @@ All are drawn, none is a photo; greys and dashes only, for a monochrome printer.
 calls the functions of DRAWINGS.
 """
 
+import math
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -407,6 +408,48 @@ def draw_lanes(path: Path) -> str:
         photos from there. Circles on the pad's corners: points measured by tape."""
 
 
+def draw_venue(path: Path) -> str:
+    """The hall of the book from above: lap, approach, net and people."""
+    venue = tomllib.loads((MANUAL / "builder" / "venue.toml").read_text(encoding="utf-8"))
+    (wide, long), flight, pad = venue["hall_m"], venue["flight"], LandingPad()
+    radius, straight = flight["circle_m"] / 2.0, flight["straight_m"]
+    net = wide - flight["circle_m"] - 0.5 * venue["margin_m"] - flight["net_m"]
+    middle, begin = net + flight["net_m"] + radius, 0.5 * (long - straight)
+    with drawing(path, 6.6, 4.3) as axes:
+        (ax,) = axes.flat
+        bare(ax, (-1.5, long + 1.5), (-3.2, wide + 0.6))
+        ax.plot([0, long, long, 0, 0], [0, 0, wide, wide, 0], color=DARK, lw=1.8)
+        angles = [0.01 * math.pi * k for k in range(101)]
+        right = [(begin + straight + radius * math.sin(a), -radius * math.cos(a)) for a in angles]
+        left = [(begin - radius * math.sin(a), radius * math.cos(a)) for a in angles]
+        lap = [*right, *left, right[0]]
+        ax.plot([x for x, _ in lap], [middle + y for _, y in lap], color=DARK, lw=1.1)
+        ax.plot([0, long], [net, net], color=MIDDLE, lw=2.4, ls=(0, (1.5, 0.8)))
+        corner = (long - 8.0 - pad.length, middle - pad.width / 2.0)
+        ax.fill_between(
+            (corner[0], corner[0] + pad.length), corner[1], corner[1] + pad.width, color=LIGHT, lw=0
+        )
+        arrow(ax, (corner[0] - 18.0, middle), (corner[0], middle), "approach")
+        ax.text(corner[0] + 0.5 * pad.length, middle, "pad 13 x 2 m", ha="center", va="center")
+        lap_words = f"lap {flight['circle_m']:g} m wide, straights of {straight:g} m"
+        ax.text(0.5 * long, wide - 2.6, lap_words, ha="center")
+        for x, mark, text in (
+            (4.0, "s", "charging, guard"),
+            (0.5 * long, "^", "safety pilot, operator"),
+            (long - 7.0, "o", "helper, class"),
+        ):
+            ax.plot(x, 0.5 * net, mark, ms=8, color=DARK)
+            ax.text(x, -0.4, text, ha="center", va="top", fontsize=8.5)
+        ax.text(0.5 * long + 7.0, net + 0.45, f"net, {net:.0f} m from the wall", fontsize=8.5)
+        ax.text(0.5 * long, -2.0, f"{long} m", ha="center", va="top", fontsize=8.5)
+        ax.text(-0.4, 0.5 * wide, f"{wide} m", rotation=90, ha="right", va="center", fontsize=8.5)
+    return f"""The hall of the book from above, {long} by {wide} metres. A lap of two half circles
+        and two straights of {straight:g} m is {flight["circle_m"]:g} m wide, one metre from the
+        far wall and {flight["net_m"]:g} m from a net along the near one. Behind the net,
+        {net:.0f} m from the wall: charging place with a guard, safety pilot and operator at the
+        middle, helper and class. In the middle of the hall the approach to the pad."""
+
+
 def hall_from_above(ax: Any) -> None:
     """Walls, pad, marker and axes of the kit's hall."""
     pad = LandingPad()
@@ -439,4 +482,5 @@ DRAWINGS: dict[str, Callable[[Path], str]] = {
     "safety": draw_safety,
     "surfaces": draw_surfaces,
     "photo_lanes": draw_lanes,
+    "venue": draw_venue,
 }

@@ -18,7 +18,7 @@ OUTPUTS = SITE.parents[1] / "build" / "lab_outputs"
 
 def render(
     out: Path,
-    book: Callable[[str], bytes],
+    book: Callable[[str, Settings], bytes],
     *,
     settings: Settings | None = None,
     outputs: Path = OUTPUTS,
@@ -27,7 +27,7 @@ def render(
 
     Args:
         out: folder to write to, made anew when the new pages are without a fault.
-        book: the manual's bytes as "html" or "pdf".
+        book: the manual's bytes as "html" or "pdf", with these settings.
         settings: where things are published; manual/settings.toml if not given.
         outputs: the cache of the labs' outputs; it may be missing.
 
@@ -40,8 +40,8 @@ def render(
         sources, pages = Path(folder) / "sources", Path(folder) / "pages"
         stage = Stage(sources, settings, outputs)
         stage.write()
-        book_pages(book("html").decode("utf-8"), stage)
-        (sources / "manual.pdf").write_bytes(book("pdf"))
+        book_pages(book("html", settings).decode("utf-8"), stage)
+        (sources / "manual.pdf").write_bytes(book("pdf", settings))
         sphinx(sources, pages, settings)
         problems = dead_links(pages)
         if problems:

@@ -33,6 +33,7 @@ PAGES = (
     "manual/*.md",
     "manual/site/**/*.md",
     "manual/chapters/*.typ",
+    "manual/builder/*.toml",
     "labs/*.md",
 )
 
@@ -60,6 +61,13 @@ def test_a_planted_word_on_a_page_of_the_site_is_reported(tmp_path):
     (tmp_path / "manual" / "site" / "concepts").mkdir(parents=True)
     (tmp_path / "manual" / "site" / "concepts" / "loop.md").write_text("# Loop\n\nIt knows.\n")
     assert word_problems(tmp_path) == ["manual/site/concepts/loop.md:3: knows"]
+
+
+def test_a_planted_word_in_the_builders_tables_is_reported(tmp_path):
+    """A cell of a table, written here."""
+    (tmp_path / "manual" / "builder").mkdir(parents=True)
+    (tmp_path / "manual" / "builder" / "radio.toml").write_text('why = "the radio wants it"\n')
+    assert word_problems(tmp_path) == ["manual/builder/radio.toml:1: wants"]
 
 
 def word_problems(root: Path) -> list[str]:

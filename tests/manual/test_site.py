@@ -31,7 +31,7 @@ LABS = [path.name[:5] for path in sorted((ROOT / "labs").glob("lab[0-9]*"))]
 # One page of each kind: tables, code, pictures, notebook, docstrings, the book's raw HTML.
 KINDS = (
     *("index", "quick_start", "commands", "reproduced", "glossary", "paper_map", "concepts/frames"),
-    *("howto/hall", "benchmarks/pilots", "labs/lab04", "builder/04", "api/aircraft"),
+    *("howto/hall", "benchmarks/pilots", "labs/lab04", "builder/04", "builder/16", "api/aircraft"),
 )
 # Contrast of every visible text with the nearest opaque background [WCAG 2.2, 1.4.3 and its
 # definitions of relative luminance and contrast ratio]; large text needs 3, any other 4.5.
