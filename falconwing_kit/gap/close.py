@@ -29,8 +29,8 @@ from falconwing_kit.gap.evidence import (
 from falconwing_kit.gap.linear_response import linear_response
 from falconwing_kit.gap.name import EffectCandidate, Naming, name_effect
 from falconwing_kit.sysid.fit import FitResult, fit, prior_rows
-from falconwing_kit.sysid.score import BLOCK_S, PredictionScore, score, select_windows, split_blocks
-from falconwing_kit.sysid.shooting import Windows, finite_differences
+from falconwing_kit.sysid.score import BLOCK_S, PredictionScore, score, split_blocks
+from falconwing_kit.sysid.shooting import Windows, finite_differences, select_windows
 from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
 ONSET = "acts_since"  # parameter of an effect with an onset: it acts from this time on [s]

@@ -34,8 +34,8 @@ from falconwing_kit.gap.measure import VARIABLES, variables_of
 from falconwing_kit.gap.name import UNRELATED_FORMULA_ERROR, Naming
 from falconwing_kit.gap.noise import robust_weights, whiten
 from falconwing_kit.sysid.fit import FitResult, fit, prior_rows
-from falconwing_kit.sysid.score import PredictionScore, score, select_windows
-from falconwing_kit.sysid.shooting import Windows, pose_residuals, residuals
+from falconwing_kit.sysid.score import PredictionScore, score
+from falconwing_kit.sysid.shooting import Windows, pose_residuals, residuals, select_windows
 from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
 MAX_TERMS = 4  # more are no longer an explanation

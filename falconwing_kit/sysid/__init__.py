@@ -24,8 +24,15 @@ from falconwing_kit.sysid.prepare import (
     difference_noise,
     prepare,
 )
-from falconwing_kit.sysid.score import PredictionScore, score, select_windows, split_blocks
-from falconwing_kit.sysid.shooting import Windows, cut_windows, jacobian, predict, residuals
+from falconwing_kit.sysid.score import PredictionScore, score, split_blocks
+from falconwing_kit.sysid.shooting import (
+    Windows,
+    cut_windows,
+    jacobian,
+    predict,
+    residuals,
+    select_windows,
+)
 from falconwing_kit.sysid.uncertainty import Uncertainty, uncertainty
 
 __all__ = [

@@ -12,10 +12,17 @@ import numpy as np
 
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.core.checks import Array
-from falconwing_kit.sysid.shooting import Windows, jacobian, pose_residuals, residuals
+from falconwing_kit.sysid.shooting import (
+    Windows,
+    jacobian,
+    pose_residuals,
+    residuals,
+    select_windows,
+)
 
 HUBER = 3.0  # residuals beyond this many sigmas count linearly [Huber 1964]
 DIVERGED_COST = 1e12  # of a window whose prediction overflows: fewer of them is a better fit
+STANDS_OUT = 3.0  # a window whose cost is so many times the median may be in a local minimum
 SHORTENINGS = 8  # tries of one step, each with more damping
 
 
@@ -188,7 +195,7 @@ def fit(
     left = iterations - step_count - 1
     if left >= 0:
         # A step for all windows at once can leave the initial state of one where it is no minimum.
-        freed, residual = fit_initial_states(model, windows, initial_states)
+        freed, residual = _free_stuck_windows(model, windows, initial_states)
         if cost - _cost(residual, prior_factor, prior_mean, vector[here]) > tolerance:
             done = step_count + 1
             rest = fit(
@@ -197,6 +204,25 @@ def fit(
             )  # fmt: skip
             return replace(rest, iterations=done + rest.iterations)
     return FitResult(model, initial_states, *linear, free, cost, step_count, converged)
+
+
+def _free_stuck_windows(
+    model: Model, windows: Windows, initial_states: Array
+) -> tuple[Array, Array]:
+    """Initial states (W, n_states) fitted once more, and residuals (W, R).
+
+    Those of windows that stand out are also fitted from the first guess, which the poses give.
+    """
+    states, residual = fit_initial_states(model, windows, initial_states)
+    cost = _window_cost(residual)
+    apart = np.flatnonzero(cost > STANDS_OUT * np.median(cost))
+    if len(apart):
+        guess = windows.initial_guess[apart, : model.n_states]
+        anew, residual_anew = fit_initial_states(model, select_windows(windows, apart), guess)
+        better = _window_cost(residual_anew) < cost[apart]
+        states, residual = states.copy(), residual.copy()
+        states[apart[better]], residual[apart[better]] = anew[better], residual_anew[better]
+    return states, residual
 
 
 def sqrt_huber_weight(residual: Array, windows: Windows) -> Array:

@@ -20,10 +20,15 @@ from falconwing_kit.sysid.score import (
     score,
     score_constant_turn,
     score_residual,
-    select_windows,
     split_blocks,
 )
-from falconwing_kit.sysid.shooting import Windows, cut_windows, pose_residuals, residuals
+from falconwing_kit.sysid.shooting import (
+    Windows,
+    cut_windows,
+    pose_residuals,
+    residuals,
+    select_windows,
+)
 from falconwing_kit.sysid.uncertainty import Uncertainty, ordinary_size, uncertainty
 
 WINDOW_S = 2.0

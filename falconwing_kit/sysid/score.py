@@ -1,6 +1,6 @@
 """Scores: a model + windows it was not fitted to -> errors of its predictions over two seconds."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -113,18 +113,3 @@ def split_blocks(
     block = np.floor((windows.nodes[:, 0] - windows.nodes[:, 0].min()) / block_s).astype(int)
     held_out = np.floor((block + 1) * share) > np.floor(block * share)
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
-
-
-def select_windows(windows: Windows, index: np.ndarray) -> Windows:
-    """The windows at these indices."""
-    whitening = windows.whitening
-    return replace(
-        windows,
-        nodes=windows.nodes[index],
-        pose=windows.pose[index],
-        weight=windows.weight[index],
-        edges=windows.edges[index],
-        flight=windows.flight[index],
-        initial_guess=windows.initial_guess[index],
-        whitening=whitening[index] if whitening is not None and whitening.ndim == 4 else whitening,
-    )

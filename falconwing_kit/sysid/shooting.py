@@ -81,6 +81,21 @@ class Windows:
         return replace(self, weight=self.weight * factor)
 
 
+def select_windows(windows: Windows, index: np.ndarray) -> Windows:
+    """The windows at these indices."""
+    whitening = windows.whitening
+    return replace(
+        windows,
+        nodes=windows.nodes[index],
+        pose=windows.pose[index],
+        weight=windows.weight[index],
+        edges=windows.edges[index],
+        flight=windows.flight[index],
+        initial_guess=windows.initial_guess[index],
+        whitening=whitening[index] if whitening is not None and whitening.ndim == 4 else whitening,
+    )
+
+
 def cut_windows(flights: Sequence[PreparedFlight], model: Model, seconds: float = 2.0) -> Windows:
     """Cut flights of one rate into consecutive windows without overlap.
 

@@ -24,8 +24,7 @@ from falconwing_kit.core.messages import Pose
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.scene import leader_at, load_scene, render
 from falconwing_kit.sysid.identify import Identification
-from falconwing_kit.sysid.score import select_windows
-from falconwing_kit.sysid.shooting import fly_windows
+from falconwing_kit.sysid.shooting import fly_windows, select_windows
 from falconwing_kit.tools.demo.alfa import AlfaAnalysis
 from falconwing_kit.tools.demo.recorded import RecordedFlights, study_recorded_flights
 from falconwing_kit.tools.reports.page import ACCENT, MEASURED, PREDICTED, QUIET, figure

@@ -9,8 +9,8 @@ from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import GRAVITY
 from falconwing_kit.sysid.prepare import prepare
-from falconwing_kit.sysid.score import score, score_constant_turn, select_windows, split_blocks
-from falconwing_kit.sysid.shooting import cut_windows, fly_windows, residuals
+from falconwing_kit.sysid.score import score, score_constant_turn, split_blocks
+from falconwing_kit.sysid.shooting import cut_windows, fly_windows, residuals, select_windows
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 
 SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)

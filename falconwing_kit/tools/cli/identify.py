@@ -20,7 +20,8 @@ from falconwing_kit.sysid.identify import MAX_REDUCED_CHI2, Identification, iden
 from falconwing_kit.sysid.model_file import KNOWN_TERMS, read_model, write_model
 from falconwing_kit.sysid.one_step import fit_one_step
 from falconwing_kit.sysid.prepare import CHANNELS
-from falconwing_kit.sysid.score import score, select_windows
+from falconwing_kit.sysid.score import score
+from falconwing_kit.sysid.shooting import select_windows
 from falconwing_kit.tools.bridge.flight_file import read_flight
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 

@@ -8,8 +8,7 @@ import numpy as np
 from falconwing_kit.core.checks import Array
 from falconwing_kit.sysid.forecast import Forecasts
 from falconwing_kit.sysid.identify import Identification
-from falconwing_kit.sysid.score import select_windows
-from falconwing_kit.sysid.shooting import fly_windows
+from falconwing_kit.sysid.shooting import fly_windows, select_windows
 from falconwing_kit.sysid.uncertainty import ordinary_size
 from falconwing_kit.tools.reports.page import ACCENT, MEASURED, PREDICTED, QUIET, figure
 

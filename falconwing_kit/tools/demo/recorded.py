@@ -18,7 +18,8 @@ from falconwing_kit.sysid.forecast import Forecasts
 from falconwing_kit.sysid.identify import Identification
 from falconwing_kit.sysid.model_file import write_model
 from falconwing_kit.sysid.one_step import fit_one_step
-from falconwing_kit.sysid.score import PredictionScore, score, select_windows
+from falconwing_kit.sysid.score import PredictionScore, score
+from falconwing_kit.sysid.shooting import select_windows
 from falconwing_kit.tools.demo.alfa import (
     FOLDS,
     WINDOW_OFFSETS,

@@ -7,7 +7,7 @@ import numpy as np
 
 from falconwing_kit.core.checks import Array
 from falconwing_kit.gap.study import GapStudy
-from falconwing_kit.sysid.score import select_windows
+from falconwing_kit.sysid.shooting import select_windows
 from falconwing_kit.tools.reports.gap_plots import DPI, WIDTH_IN
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, figure
 

@@ -453,7 +453,8 @@ def identification(job: Job) -> Part:
     from falconwing_kit.data import data_path
     from falconwing_kit.sysid.identify import identify
     from falconwing_kit.sysid.one_step import fit_one_step
-    from falconwing_kit.sysid.score import score, select_windows
+    from falconwing_kit.sysid.score import score
+    from falconwing_kit.sysid.shooting import select_windows
 
     table = read_flight_table(data_path(FLIGHT))
     rows = []

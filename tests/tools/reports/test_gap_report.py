@@ -22,8 +22,7 @@ from falconwing_kit.gap.close import Onset, ParameterEstimate
 from falconwing_kit.gap.name import MAX_MAHALANOBIS
 from falconwing_kit.gap.study import gap_record, require_pair
 from falconwing_kit.sysid.model_file import read_model
-from falconwing_kit.sysid.score import select_windows
-from falconwing_kit.sysid.shooting import fly_windows
+from falconwing_kit.sysid.shooting import fly_windows, select_windows
 from falconwing_kit.tools.reports import gap_report as gap_report_module
 from falconwing_kit.tools.reports.gap_plots import noise_floor
 from falconwing_kit.tools.reports.gap_report import gap_report, write_gap
