@@ -221,7 +221,7 @@ def exercise_record(
     right = here.function(ast.unparse(here.definition))
     expected, trace = _run(here.exercise, right)
     text = trace_text(trace, _run(here.exercise, _shaken(right))[1])
-    if shipped and shipped.get("trace") == text:
+    if shipped and shipped.get("trace") == text and _is_of_any_course(here, expected, shipped):
         return dict(shipped)
     entries: list[tuple[_Candidate, Entry]] = []
     first_wrong: dict[str, int] = {}
@@ -237,6 +237,12 @@ def exercise_record(
         "trace": text,
         "mistakes": seal(named),
     }
+
+
+def _is_of_any_course(here: ExerciseHere, expected: Recorder, shipped: Mapping[str, Any]) -> bool:
+    """Whether neither the function nor the questions to it contain the course's numbers."""
+    asked = {key for key, _ in expected.calls}
+    return asked >= set(shipped["expected"]) and "COHORT" not in ast.unparse(here.definition)
 
 
 def candidates(here: ExerciseHere, by_hand: Sequence[tuple[str, str, str]]) -> list[_Candidate]:
