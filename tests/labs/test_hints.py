@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -262,3 +263,18 @@ def test_all_hints_together_stay_small():
     """At most 3 MB over the course and 1 MB a lab."""
     sizes = [(folder / "hints.json").stat().st_size for folder in FOLDERS]
     assert sum(sizes) <= 3_000_000 and max(sizes) <= 1_000_000
+
+
+def test_a_function_that_never_ends_on_arguments_nearby_is_left_after_a_second():
+    """It answers the checks' 150 g and 80 g, wrongly, and loops on every mass in between."""
+    here, hints = LabHere(LABS["lab01"]), load_hints(LABS["lab01"])["min_speed"]
+
+    def endless(mass_g, temperature_c):
+        while np.ndim(mass_g) == 0 and mass_g not in (150.0, 80.0):
+            pass
+        return np.asarray(mass_g) * 1.0
+
+    begin = time.monotonic()
+    outcomes = run_checks(here.lab.exercise("min_speed"), endless, hints)
+    assert outcomes[0].state == "failed" and outcomes[0].cause == ""
+    assert 0.9 < time.monotonic() - begin < 5.0

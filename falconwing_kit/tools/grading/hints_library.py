@@ -270,7 +270,7 @@ def _run(exercise: Exercise, function: Function) -> tuple[Recorder, tuple[Mark, 
         with suppress(Exception):  # a wrong answer may break the check after the call
             holds = bool(each.holds(asked))
         failed = failed or not holds
-    for arguments in nearby if failed else ():
+    for arguments in nearby if failed and exercise.nearby else ():
         with suppress(Exception):
             recorder(*arguments)
     return recorder, trace_of([answer.mark for _, answer in recorder.calls])
