@@ -237,6 +237,7 @@ LAB = Lab(
                     "z comes from z_value(confidence); return an int",
                 ),
             ),
+            nearby=False,
         ),
     ),
     rubric=(

@@ -21,6 +21,7 @@ from falconwing_kit.tools.grading.find import (
     load_judges,
     load_module,
 )
+from falconwing_kit.tools.grading.hints_library import ExerciseHere, candidates
 from falconwing_kit.tools.grading.lab import Course, Function, Judge, Lab, course_constants
 from falconwing_kit.tools.grading.notebooks import read_cells
 
@@ -112,3 +113,10 @@ def mutants(lab: Lab) -> Mapping[str, tuple[tuple[str, str, str], ...]]:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module.MUTANTS
+
+
+def library_functions(here: LabHere, name: str) -> dict[str, Function]:
+    """The functions of an exercise's library of mistakes, by the name of the mistake."""
+    with importable_given(here.given):
+        exercise = ExerciseHere(here.folder, here.lab, here.lab.exercise(name), here.given)
+        return {each.name: each.function for each in candidates(exercise, mutants(here.lab)[name])}

@@ -10,7 +10,7 @@ import warnings
 
 from falconwing_kit.tools.grading.hints import Hints, Recorder, load_hints, numbers_of, same_numbers
 from falconwing_kit.tools.grading.public_checks import run_checks
-from tests.labs.functions import LabHere, mutants
+from tests.labs.functions import LabHere, library_functions
 from tests.labs.holdout.generate import (
     _too_long,
     as_function,
@@ -56,7 +56,7 @@ def judged(here: LabHere, hints: Hints, rows: list[dict]) -> list[tuple[str, dic
     """For each wrong function of an exercise: "right", "wrong", "silent", and what was said."""
     name = rows[0]["exercise"]
     wrong, probes = wrong_sources(solution_source(here, name), name), Probes(here, name)
-    listed = {label: (old, new) for label, old, new in mutants(here.lab)[name]}
+    named = library_functions(here, name)
     found = []
     for row in rows:
         kind, cause, text = wrong[row["index"]]
@@ -70,7 +70,7 @@ def judged(here: LabHere, hints: Hints, rows: list[dict]) -> list[tuple[str, dic
         verdict = "silent"
         if said.mistakes:
             got = probes.of(f"holdout {row['index']}", function)
-            other = probes.of(said.mistakes[0], here.function(name, *listed[said.mistakes[0]]))
+            other = probes.of(said.mistakes[0], named[said.mistakes[0]])
             agree = all(same_numbers(a, b) for a, b in zip(got, other, strict=True))
             verdict = "right" if agree and got else "wrong"
         elif said.cause:

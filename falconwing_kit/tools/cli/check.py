@@ -2,13 +2,14 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.tools.grading.find import lab_folder, load_checks, notebook_path
 from falconwing_kit.tools.grading.public_checks import (
+    STEPS,
     SYMBOLS,
     ExerciseReport,
     check_notebook,
@@ -31,6 +32,8 @@ class Check:
     """your notebook; the one in the lab's folder if not given"""
     labs: Path | None = None
     """the folder with the labs; the current folder's, or the checkout's own, if not given"""
+    step: Literal[1, 2, 3] = 1
+    """how much a hint says: 1 where to look, 2 also the mistake, 3 also what to change"""
     json: bool = False
     """print JSON instead of a table"""
 
@@ -50,7 +53,7 @@ class Check:
         if self.json:
             print_json({"lab": folder.name, "exercises": [_record(report) for report in reports]})
         else:
-            _print_reports(folder, reports, states)
+            _print_reports(folder, reports, states, self.step)
         return int(set(states) != {"passed"})
 
 
@@ -59,7 +62,9 @@ def _record(report: ExerciseReport) -> dict[str, object]:
     return asdict(report) | {"state": exercise_state(report.outcomes)}
 
 
-def _print_reports(folder: Path, reports: list[ExerciseReport], states: list[str]) -> None:
+def _print_reports(
+    folder: Path, reports: list[ExerciseReport], states: list[str], step: int
+) -> None:
     lab = load_checks(folder)
     rows = []
     for report, state in zip(reports, states, strict=True):
@@ -76,7 +81,7 @@ def _print_reports(folder: Path, reports: list[ExerciseReport], states: list[str
         failed = [outcome for outcome in report.outcomes if outcome.state == "failed"]
         for outcome in failed:
             print(to_printable(f"{SYMBOLS['failed']} {report.name}: {outcome.claim}"))
-            print(*(f"    {words}" for words in outcome_lines(outcome)), sep="\n")
+            print(*(f"    {words}" for words in outcome_lines(outcome, step)), sep="\n")
         for problem in report.problems if state != "not written" else ():
             print(f"! {problem}")
     counts = f"{states.count('passed')} of {len(states)} exercises pass their public checks"
@@ -84,5 +89,7 @@ def _print_reports(folder: Path, reports: list[ExerciseReport], states: list[str
     if set(states) == {"passed"}:
         next_line("answer the questions and submit the notebook; the grading has hidden cases too")
     else:
+        if step < STEPS and any(each.steps for report in reports for each in report.outcomes):
+            print(f"--step {step + 1} says more about what is wrong")
         first = next(i for i, state in enumerate(states) if state != "passed")
         next_line(f"{'write' if states[first] == 'not written' else 'fix'} {reports[first].name}")

@@ -79,7 +79,8 @@ class Hints:
             InputError: there is no such lab, or its source cannot be used.
         """
         from falconwing_kit.core.files import atomic_write
-        from falconwing_kit.tools.grading.hints import FILE, hints_text
+        from falconwing_kit.tools.grading.hints import FILE
+        from falconwing_kit.tools.grading.hints_library import hints_text
 
         sizes = {}
         for folder in select_labs(self.names, self.labs):

@@ -1,18 +1,16 @@
 """Hints: what a function returned in the public checks -> the mistake that returns the same.
 
-`falconwing labs hints` runs the solution and each listed mistake of a lab through the public checks
-and stores what they return, up to PLACES numbers of a call, in the lab's `hints.json`. A student's
-folder holds these numbers and the mistakes' names, not their code and not the solution's.
-Calls whose arguments depend on earlier answers of a wrong function match nothing and say nothing.
+A lab's `hints.json`, written by `falconwing labs hints`, holds the right answers of some calls and,
+for each mistake of a library, its name and the mark of what it returns in all calls: no code, and
+no number from which a solution could be read. The library: hints_library.py and mistakes.py.
 """
 
 import copy
 import hashlib
-import importlib.util
 import json
 import math
-import re
-from collections.abc import Iterator, Mapping
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,18 +18,34 @@ from typing import Any
 
 import numpy as np
 
-from falconwing_kit.tools.grading.collect import Notebook, SubmittedCell, collect_source
-from falconwing_kit.tools.grading.find import importable_given, load_checks, load_module
-from falconwing_kit.tools.grading.lab import Exercise, Function, Lab, course_constants
-from falconwing_kit.tools.grading.notebooks import SourceCell, read_cells
+from falconwing_kit.tools.grading.lab import Function
+from falconwing_kit.tools.grading.marks import (
+    Mark,
+    mark_of,
+    matches_text,
+    raised_mark,
+    trace_of,
+    weights,
+)
+from falconwing_kit.tools.grading.mistakes import FIXES, HINTS
+from falconwing_kit.tools.grading.sandbox.host import ERRORS, StudentError
+from falconwing_kit.tools.grading.sealed import Sealed, Words, opened
 
 FILE = "hints.json"
 PLACES = 24  # numbers of one answer that are stored, spread evenly over it
-CALLS = 12  # different calls of an exercise that are stored
+NEARBY, NEAR_SCALES = 8, (0.1, 0.8)  # calls that are varied, and by how much
 RTOL, ATOL = 1e-5, 1e-9  # stored numbers have seven digits
-_INSIDE = re.compile(r"# BEGIN SOLUTION\n(.*?)[ \t]*# END SOLUTION", re.DOTALL)
-
 Numbers = dict[str, Any]  # place in the answer -> number, text or truth value
+
+
+class Answer(Numbers):
+    """The shown numbers of an answer; `mark` is that of the whole answer.
+
+    `message` is an error's own text, which the sandbox does not let out.
+    """
+
+    mark: Mark = Mark(0)
+    message: str = ""
 
 
 @dataclass
@@ -44,7 +58,7 @@ class Recorder:
     """
 
     function: Function
-    calls: list[tuple[str, Numbers]] = field(default_factory=list)
+    calls: list[tuple[str, Answer]] = field(default_factory=list)
 
     def __call__(self, *arguments: Any) -> Any:
         """The function's answer, or its error, recorded."""
@@ -52,10 +66,89 @@ class Recorder:
         try:
             answer = self.function(*arguments)
         except Exception as error:
-            self.calls.append((key, {"raised": type(error).__name__}))
+            self.calls.append((key, raised(error)))
             raise
-        self.calls.append((key, numbers_of(answer)))
+        self.calls.append((key, answered(answer)))
         return answer
+
+
+def answered(answer: Any) -> Answer:
+    """The record of an answer."""
+    record = Answer(numbers_of(answer))
+    record.mark = mark_of(answer)
+    return record
+
+
+def raised(error: Exception) -> Answer:
+    """The record of an error: its type's name, the same in a notebook and in the sandbox."""
+    name = type(error).__name__
+    if isinstance(error, StudentError):
+        name = error.category.removeprefix("exception:")
+    record = Answer({"raised": name if name in ERRORS else "Exception"})
+    record.mark = raised_mark(record["raised"])
+    record.message = "" if isinstance(error, StudentError) else " ".join(str(error).split())[:300]
+    return record
+
+
+def errors_text(calls: Sequence[tuple[str, Answer]]) -> str:
+    """Checksum of the errors of calls that all raised, for `hints.json`; empty otherwise.
+
+    An error's text differs between versions of Python and NumPy; then it matches nothing.
+    """
+    if not calls or not all(got.message for _, got in calls):
+        return ""
+    texts = [f"{got['raised']}: {got.message}" for _, got in calls]
+    return f"!{zlib.crc32('|'.join(texts).encode()):08x}"
+
+
+class Nearby:
+    """Arguments near those of a function's calls, on which a wrong function is asked once more.
+
+    The public checks ask few questions, often round numbers; different mistakes may answer them
+    alike. Nothing is random: the same calls give the same arguments on every platform.
+    """
+
+    def __init__(self) -> None:
+        self.taken: list[tuple[Any, ...]] = []
+
+    def take(self, arguments: tuple[Any, ...]) -> None:
+        """Keep a copy of a call's arguments, of the first NEARBY calls."""
+        if len(self.taken) < NEARBY:
+            with suppress(Exception):  # what cannot be copied is not asked again
+                self.taken.append(copy.deepcopy(arguments))
+
+    def __iter__(self) -> Iterator[tuple[Any, ...]]:
+        for i, arguments in enumerate(self.taken):
+            for scale in NEAR_SCALES:
+                shift = _Shift(scale, i)
+                yield tuple(map(shift.of, copy.deepcopy(arguments)))
+
+
+@dataclass
+class _Shift:
+    """Values moved by up to `scale`, each by another share."""
+
+    scale: float
+    number: int
+
+    def of(self, value: Any) -> Any:
+        if isinstance(value, float | np.floating):
+            return value * (1.0 + float(self._shares(1)[0])) + 0.1 * self.scale * self._sign()
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+            shares = self._shares(value.size).reshape(value.shape)
+            return (value * (1.0 + shares)).astype(value.dtype)
+        if isinstance(value, dict):
+            return {key: self.of(each) for key, each in value.items()}
+        if isinstance(value, tuple | list) and not hasattr(value, "_fields"):
+            return type(value)(map(self.of, value))
+        return value
+
+    def _shares(self, count: int) -> Any:
+        self.number += 1
+        return 2.0 * self.scale * (weights(count, 7919 * self.number) - 1.0)
+
+    def _sign(self) -> float:
+        return 1.0 if self.number % 2 else -1.0
 
 
 def call_key(arguments: tuple[Any, ...]) -> str:
@@ -140,11 +233,22 @@ class Diagnosis:
 
     Attributes:
         cause: the mistake in words; empty where nothing specific agrees.
-        mistakes: names of the listed mistakes that return the same; empty for a general finding.
+        mistakes: names of the mistakes that return the same; empty for a general finding.
+        steps: what to say first, second and last: where to look, what to ask oneself with the
+            cause, what to change; empty without a cause.
     """
 
     cause: str = ""
     mistakes: tuple[str, ...] = ()
+    steps: tuple[str, ...] = ()
+
+
+def _steps(words: Words) -> tuple[str, ...]:
+    """Nudge, cause and fix."""
+    where = f"look at {words.place}" if words.place else "go through your function line by line"
+    question = HINTS.get(words.kind, "compare what each line does with the text")
+    cause = "; or: ".join((words.name, *words.alternatives))
+    return f"{where}: {question}", cause, FIXES.get(words.kind, "")
 
 
 @dataclass(frozen=True)
@@ -152,18 +256,22 @@ class Hints:
     """Stored answers of one exercise.
 
     Attributes:
-        expected: answers of a right function, by the key of the call.
-        mistakes: for each named mistake its answers, by the key of the call.
+        expected: answers of a right function, by the key of the call, of the most telling calls.
+        trace: marks of a right function's answers.
+        mistakes: the library's, sealed.
     """
 
     expected: Mapping[str, Numbers]
-    mistakes: Mapping[str, Mapping[str, Numbers]]
+    trace: str = ""
+    mistakes: Sealed = field(default_factory=dict)
 
     def first_difference(self, key: str, got: Numbers) -> str:
         """The first place where an answer is wrong, expected beside got; empty if none is known."""
         expected = self.expected.get(key)
-        if expected is None or "raised" in got or same_numbers(got, expected):
+        if expected is None or same_numbers(got, expected):
             return ""
+        if "raised" in got:
+            return f"expected {_expected(expected)}, it raised {got['raised']}"
         if any(place.endswith("dtype") for place in got):
             return "expected real numbers, got complex ones: a root of a negative number?"
         for place, wanted in expected.items():
@@ -181,41 +289,33 @@ class Hints:
                 return f"expected {what}{_show(wanted)}{at}, got {what}{_show(got[place])}"
         return ""
 
-    def diagnose(self, calls: list[tuple[str, Numbers]]) -> Diagnosis:
-        """The mistake whose answers agree with all the calls that are known."""
-        known = [(key, got) for key, got in calls if key in self.expected]
-        wrong = [(key, got) for key, got in known if not same_numbers(got, self.expected[key])]
-        if not wrong:
+    def diagnose(self, calls: Sequence[tuple[str, Answer]]) -> Diagnosis:
+        """The mistake whose answers agree in all calls; else a relation to the right answers."""
+        trace = trace_of([got.mark for _, got in calls])
+        if not trace or matches_text(trace, self.trace):
             return Diagnosis()
-        found = [name for name, answers in self.mistakes.items() if _agrees(answers, known)]
-        telling = any(_tells(got, self.expected[key]) for key, got in wrong)
-        if found and telling:
-            return Diagnosis(" or ".join(found[:2]), tuple(found))
-        return Diagnosis(_general([(got, self.expected[key]) for key, got in wrong]))
+        found = opened(self.mistakes, trace, errors_text(calls))
+        if found and len({each.kind for each in found}) == 1:
+            names = tuple(name for each in found for name in (each.name, *each.alternatives))
+            return Diagnosis("; or: ".join(names), names, _steps(found[0]))
+        pairs = [(got, self.expected[key]) for key, got in calls if key in self.expected]
+        wrong = [(got, right) for got, right in pairs if not same_numbers(got, right)]
+        return Diagnosis(_general(wrong) if wrong else "")
 
 
-def _agrees(answers: Mapping[str, Numbers], known: list[tuple[str, Numbers]]) -> bool:
-    shared = [(answers[key], got) for key, got in known if key in answers]
-    return bool(shared) and all(same_numbers(got, mistake) for mistake, got in shared)
-
-
-def _tells(got: Numbers, expected: Numbers) -> bool:
-    """Whether a wrong answer is one that few mistakes give: a finite number that is not 0."""
-    return any(
-        isinstance(value, float | int)
-        and not place.endswith("length")
-        and math.isfinite(value)
-        and value not in (0.0, 1.0)
-        and not same(value, expected.get(place, "none"))
-        for place, value in got.items()
-    )
+def _expected(numbers: Numbers) -> str:
+    """The first numbers of a right answer, in short."""
+    shown = [
+        f"{_show(v)} at {k}" if k else _show(v) for k, v in numbers.items() if "shape" not in k
+    ]
+    return ", ".join(shown[:2]) or "an answer"
 
 
 def _show(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _general(pairs: list[tuple[Numbers, Numbers]]) -> str:
+def _general(pairs: Sequence[tuple[Numbers, Numbers]]) -> str:
     """A relation that all wrong answers have to the expected ones, in words; "" if none."""
     if any(place.endswith("dtype") for got, _ in pairs for place in got):
         return "the answer is complex: a root or a power of a negative number"
@@ -270,123 +370,18 @@ def load_hints(folder: Path) -> Mapping[str, Hints]:
         record = json.loads(path.read_text(encoding="utf-8"))
         if record["constants"] != json.loads(cohort.read_text(encoding="utf-8")):
             return {}
-        return {
-            name: Hints(each["expected"], each["mistakes"])
-            for name, each in record["exercises"].items()
-        }
+        return parse_hints(record)
     except (ValueError, KeyError, TypeError, AttributeError):
         return {}
 
 
-def library(folder: Path, lab: Lab) -> Mapping[str, tuple[tuple[str, str, str], ...]]:
-    """The lab's listed mistakes: of each exercise name, old and new text; {} where there are none.
+def parse_hints(record: Mapping[str, Any]) -> dict[str, Hints]:
+    """The hints of each exercise, from the content of a `hints.json`.
 
-    They stand in a checkout's `tests/labs/mutants`, whose entries must also lose points.
+    Raises:
+        KeyError, TypeError, ValueError: it is not one, or one of an older kit.
     """
-    path = folder.resolve().parents[1] / "tests" / "labs" / "mutants" / f"{lab.name}.py"
-    spec = importlib.util.spec_from_file_location(f"mistakes_of_{lab.name}", path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        return {}
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    found: Mapping[str, tuple[tuple[str, str, str], ...]] = module.MUTANTS
-    return found
-
-
-def hints_text(folder: Path, salt: str = "") -> str:
-    """Content of a lab's `hints.json` for a course; "" where the lab lists no mistakes.
-
-    Args:
-        folder: the lab's, in a checkout, with `lab.py`.
-        salt: the course's key; empty for the open course.
-    """
-    constants = course_constants(load_checks(folder), salt)
-    lab: Lab = load_module(folder, "checks", constants).LAB
-    listed = library(folder, lab)
-    if not listed:
-        return ""
-    given = load_module(folder, "given", constants)
-    cells = [cell for cell in read_cells(folder / "lab.py") if not cell.markdown]
-    exercises = {}
-    with importable_given(given):
-        for each in lab.exercises:
-            expected = _answers(each, _function(cells, lab, each, given))
-            mistakes = {}
-            for name, old, new in listed.get(each.name, ()):
-                function = _function(cells, lab, each, given, old, new)
-                answers, again = _answers(each, function), _answers(each, _shaken(function))
-                shared = {
-                    key: answers[key]
-                    for key in expected
-                    if key in answers and same_numbers(answers[key], again.get(key, {}))
-                }
-                if any(not same_numbers(shared[key], expected[key]) for key in shared):
-                    mistakes[name] = shared
-            exercises[each.name] = {"expected": expected, "mistakes": mistakes}
-    record = {"constants": constants, "exercises": exercises}
-    return json.dumps(record, ensure_ascii=False, separators=(",", ":")) + "\n"
-
-
-def _answers(exercise: Exercise, function: Function) -> dict[str, Numbers]:
-    """Answers in the public checks, by call; a call with two different answers is left out."""
-    recorder = Recorder(function)
-    with np.errstate(all="ignore"):
-        for each in exercise.checks:
-            with suppress(Exception):  # a wrong answer may break the check after the call
-                each.holds(recorder)
-    found: dict[str, Numbers] = {}
-    for key, answer in recorder.calls:
-        if key in found or len(found) < CALLS:
-            found.setdefault(key, answer)
-    return found
-
-
-def _function(
-    cells: list[SourceCell],
-    lab: Lab,
-    exercise: Exercise,
-    given: Any,
-    old: str = "",
-    new: str = "",
-) -> Function:
-    """The solution's function, or with `old` replaced by `new` inside the solution."""
-    submitted = []
-    for cell in cells:
-        text = cell.for_solution()
-        if old and cell.kind == "exercise" and cell.name == exercise.name:
-            inside = _INSIDE.search(cell.text)
-            body = inside[1] if inside else ""
-            text = cell.text.replace(body, body.replace(old, new)) if inside else text
-        submitted.append(SubmittedCell(True, text))
-    source = collect_source(Notebook(tuple(submitted)), exercise.name, lab.packages)
-    namespace: dict[str, Any] = {"__name__": "notebook"}
-    exec(compile(source.text, exercise.name, "exec"), namespace)
-    function = namespace[exercise.name]
-
-    def called(*arguments: Any) -> Any:
-        arguments = copy.deepcopy(arguments)
-        if exercise.through:
-            return getattr(given, exercise.through)(function, *arguments)
-        return function(*arguments)
-
-    return called
-
-
-def _shaken(function: Function) -> Function:
-    """The function on arrays that differ by rounding, at 1e-10.
-
-    An answer that changes with them is no fingerprint: a wrong formula may take the singular
-    vectors of equal singular values, which are arbitrary.
-    """
-    rng = np.random.default_rng(0)
-
-    def called(*arguments: Any) -> Any:
-        near = [
-            value * (1.0 + 1e-10 * rng.standard_normal(value.shape))
-            if isinstance(value, np.ndarray) and value.dtype.kind == "f"
-            else value
-            for value in arguments
-        ]
-        return function(*near)
-
-    return called
+    return {
+        name: Hints(each["expected"], each["trace"], dict(each["mistakes"]))
+        for name, each in record["exercises"].items()
+    }

@@ -60,6 +60,8 @@ class Exercise:
             arguments; for functions whose arguments cannot be sent to the sandbox, such as a
             network. Empty: called directly.
         seconds: time limit of all hidden cases together [s].
+        nearby: ask a wrong function on arguments near those of the checks too, for the hints; not
+            where such arguments have no answer and a right function might never end.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Exercise:
     checks: tuple[Check, ...]
     through: str = ""
     seconds: float = 10.0
+    nearby: bool = True
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ A check never stops the notebook and gives no points. The grading uses other, hi
 import dis
 import re
 import sys
+import time
 import types
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
@@ -32,7 +33,16 @@ from falconwing_kit.tools.grading.collect import (
     require_notebook_of,
 )
 from falconwing_kit.tools.grading.find import lab_folder, load_checks, load_module
-from falconwing_kit.tools.grading.hints import Hints, Numbers, call_key, load_hints, numbers_of
+from falconwing_kit.tools.grading.hints import (
+    Answer,
+    Diagnosis,
+    Hints,
+    Nearby,
+    answered,
+    call_key,
+    load_hints,
+    raised,
+)
 from falconwing_kit.tools.grading.lab import Check, Exercise, Function, Lab
 from falconwing_kit.tools.grading.sandbox.host import (
     SandboxJob,
@@ -41,6 +51,8 @@ from falconwing_kit.tools.grading.sandbox.host import (
     process_worker,
 )
 
+STEPS = 3  # of a hint
+NEARBY_S = 1.0  # time for further questions to a wrong function [s]
 SYMBOLS = {"passed": "✓", "failed": "✗", "not written": "○"}
 # categories of StudentError that may end the process, as predicates of "it"
 _CATEGORIES = {
@@ -67,6 +79,7 @@ class CheckOutcome:
         expected: expected beside got at the first difference; empty if not known.
         cause: the mistake that returns the same, in words; empty if not known. It replaces the
             hint, which is for the check's usual mistake.
+        steps: where to look, the cause, and what to change; empty without a known mistake.
     """
 
     claim: str
@@ -75,6 +88,7 @@ class CheckOutcome:
     said: str = ""
     expected: str = ""
     cause: str = ""
+    steps: tuple[str, ...] = ()
 
 
 def run_checks(
@@ -86,12 +100,15 @@ def run_checks(
         function: the student's, in this process or in a worker; its errors are outcomes.
         hints: stored answers of the exercise, which name the mistake at the first failed check.
     """
-    calls: list[tuple[str, Numbers]] = []
-    outcomes = [_try(each, function, hints, calls) for each in exercise.checks]
-    cause = hints.diagnose(calls).cause if hints else ""
+    calls: list[tuple[str, Answer]] = []
+    nearby = Nearby()
+    outcomes = [_try(each, function, hints, calls, nearby) for each in exercise.checks]
+    if exercise.nearby and exercise_state(outcomes) == "failed":
+        _ask_nearby(function, hints, calls, nearby)
+    found = hints.diagnose(calls) if hints else Diagnosis()
     first = next((i for i, each in enumerate(outcomes) if each.state == "failed"), None)
-    if cause and first is not None:
-        outcomes[first] = replace(outcomes[first], cause=cause, hint="")
+    if found.cause and first is not None:
+        outcomes[first] = replace(outcomes[first], cause=found.cause, steps=found.steps)
         outcomes = [replace(each, hint="") for each in outcomes]
     return outcomes
 
@@ -106,8 +123,13 @@ class _Watched:
     """A student's function that records how its last call, or its first wrong one, ended."""
 
     def __init__(
-        self, function: Function, hints: Hints | None, calls: list[tuple[str, Numbers]]
+        self,
+        function: Function,
+        hints: Hints | None,
+        calls: list[tuple[str, Answer]],
+        nearby: Nearby,
     ) -> None:
+        self.nearby = nearby
         self.function, self.said, self.raised, self.written = function, "", False, True
         self.hints, self.calls, self.expected, self.first = hints, calls, "", ""
 
@@ -115,6 +137,7 @@ class _Watched:
         call = f"called with ({', '.join(map(_shorten, arguments))}) it"
         key = call_key(arguments) if self.hints else ""
         self.raised = True
+        self.nearby.take(arguments)
         try:
             answer = self.function(*arguments)
         except Exception as error:
@@ -123,25 +146,62 @@ class _Watched:
                 not isinstance(error, NotImplementedError) and category not in _NOT_WRITTEN
             )
             self.said = f"{call} {_CATEGORIES.get(category) or f'raised {_in_words(error)}'}"
-            self.calls.append((key, {"raised": type(error).__name__}))
+            self._compare(key, raised(error))
             raise
         self.said, self.raised = f"{call} gave {_shorten(answer)}", False
         if self.hints:
-            self._compare(self.hints, key, answer)
+            self._compare(key, answered(answer))
         return answer
 
-    def _compare(self, hints: Hints, key: str, answer: Any) -> None:
-        got = numbers_of(answer)
+    def _compare(self, key: str, got: Answer) -> None:
         self.calls.append((key, got))
-        if not self.expected:
-            self.expected = hints.first_difference(key, got)
+        if self.hints and not self.expected:
+            self.expected = self.hints.first_difference(key, got)
             self.first = self.said
 
 
+def _ask_nearby(
+    function: Function, hints: Hints | None, calls: list[tuple[str, Answer]], nearby: Nearby
+) -> None:
+    """Ask a wrong function on arguments nearby: more answers to know its mistake by."""
+    begin = time.monotonic()
+    for arguments in nearby:
+        if time.monotonic() - begin > NEARBY_S:
+            return  # a slow function is diagnosed by nothing, rather than by a part
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                record = answered(_until(begin + NEARBY_S, function, arguments))
+        except Exception as error:
+            record = raised(error)
+        if hints:
+            calls.append(("", record))
+
+
+def _until(end: float, function: Function, arguments: tuple[Any, ...]) -> Any:
+    """The function's answer; TimeoutError in a Python loop that still runs at a time."""
+
+    def watch(*_: Any) -> Any:
+        if time.monotonic() > end:
+            raise TimeoutError
+        return watch
+
+    before = sys.gettrace()
+    sys.settrace(watch)
+    try:
+        return function(*arguments)
+    finally:
+        sys.settrace(before)
+
+
 def _try(
-    each: Check, function: Function, hints: Hints | None, calls: list[tuple[str, Numbers]]
+    each: Check,
+    function: Function,
+    hints: Hints | None,
+    calls: list[tuple[str, Answer]],
+    nearby: Nearby,
 ) -> CheckOutcome:
-    watched, unusable = _Watched(function, hints, calls), ""
+    watched, unusable = _Watched(function, hints, calls, nearby), ""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's, about a check's NaN
@@ -184,11 +244,12 @@ def _cut(text: str) -> str:
     return line if len(line) <= 200 else line[:197] + "..."
 
 
-def check(function: Function) -> None:
+def check(function: Function, step: int = 1) -> None:
     """Print which public checks of the lab a function passes, with hints for the others.
 
     Args:
         function: one of the lab's exercises; the notebook lies in the lab's folder.
+        step: how much a hint says: 1 where to look, 2 also the mistake, 3 also what to change.
     """
     try:
         folder, lab = _lab_here()
@@ -199,19 +260,25 @@ def check(function: Function) -> None:
         exercise = lab.exercise(name)
         hints = load_hints(folder).get(name)
         outcomes = run_checks(exercise, _as_called(folder, exercise, function), hints)
-        lines = report_lines(name, outcomes, foreign_modules(function, lab.packages))
+        lines = report_lines(name, outcomes, foreign_modules(function, lab.packages), step)
+        if step < STEPS and any(each.steps for each in outcomes):
+            more = ("names the mistake", "says what to change")[max(step, 1) - 1]
+            lines.append(f"   check({name}, step={max(step, 1) + 1}) {more}")
     except Exception as error:  # a check must not stop a notebook, whatever the student changed
         lines = [f"this could not be checked: {error}"]
     print("\n".join(map(to_printable, lines)))
 
 
-def report_lines(name: str, outcomes: list[CheckOutcome], foreign: Iterable[str] = ()) -> list[str]:
+def report_lines(
+    name: str, outcomes: list[CheckOutcome], foreign: Iterable[str] = (), step: int = 2
+) -> list[str]:
     """What a student reads about one function.
 
     Args:
         name: of the function.
         outcomes: of its checks.
         foreign: libraries that it uses and that the grader does not have.
+        step: how much a hint says, as of `check`.
     """
     passed = sum(outcome.state == "passed" for outcome in outcomes)
     if exercise_state(outcomes) == "not written":
@@ -224,16 +291,29 @@ def report_lines(name: str, outcomes: list[CheckOutcome], foreign: Iterable[str]
         lines = [f"{SYMBOLS[state]} {name}: {passed} of {len(outcomes)} public checks passed"]
         for outcome in outcomes:
             lines.append(f"   {SYMBOLS[outcome.state]} {outcome.state}: {outcome.claim}")
-            lines += [f"       {words}" for words in outcome_lines(outcome)]
+            lines += [f"       {words}" for words in outcome_lines(outcome, step)]
     return lines + [
         f"   ! {name} uses {module}, which the grader does not have" for module in sorted(foreign)
     ]
 
 
-def outcome_lines(outcome: CheckOutcome) -> list[str]:
-    """What is said below a failed claim: what it gave, what was expected, the cause or a hint."""
+def outcome_lines(outcome: CheckOutcome, step: int = 2) -> list[str]:
+    """What is said below a failed claim: what it gave, what was expected, the cause or a hint.
+
+    Args:
+        outcome: of a check.
+        step: 1 where to look, 2 the cause, 3 also what to change. A relation to the right answers,
+            such as an opposite sign, has no steps and is said at once.
+    """
     cause = f"this is what comes out of: {outcome.cause}" if outcome.cause else ""
-    return [words for words in (outcome.said, outcome.expected, cause, outcome.hint) if words]
+    if outcome.steps:
+        nudge, _, fix = outcome.steps
+        cause = nudge if step < 2 else cause
+        last = [f"to mend it: {fix}"] if fix and step >= STEPS else []
+    else:
+        last = []
+    words = (outcome.said, outcome.expected, cause, *last, outcome.hint)
+    return [each for each in words if each]
 
 
 def to_printable(text: str) -> str:

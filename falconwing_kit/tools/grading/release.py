@@ -16,7 +16,7 @@ from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.grading.collect import COURSE_KEY
 from falconwing_kit.tools.grading.find import load_checks, load_module, notebook_path
 from falconwing_kit.tools.grading.hints import FILE as HINTS
-from falconwing_kit.tools.grading.hints import hints_text
+from falconwing_kit.tools.grading.hints_library import hints_text
 from falconwing_kit.tools.grading.lab import Course, course_constants
 from falconwing_kit.tools.grading.notebooks import build
 from falconwing_kit.tools.grading.records import safe_file_name
