@@ -11,6 +11,7 @@ import pytest
 
 from falconwing_kit.core.flight_table import FlightTable, slice_time
 from falconwing_kit.gap.baseline import bic_penalty
+from falconwing_kit.gap import close
 from falconwing_kit.gap.close import (
     close_gap,
     find_course,
@@ -162,6 +163,15 @@ def test_onset_is_found_to_a_fraction_of_a_window(name, since, seed, values):
     all_along = before.model.with_effect(EFFECTS[name])
     whole = fit(all_along, windows, before.initial_states, prior=own_base().prior)
     assert onset.delta_bic > (before.cost - whole.cost) / own_base().reduced_chi2 + 100.0
+
+
+def test_an_effect_with_which_the_flight_diverges_has_no_onset(monkeypatch):
+    """Its likelihood is finite at no time: no onset, and no error."""
+    windows, before = fitted(failing("thrust_loss", 20.0, 45.0, 7, thrust_lost=0.4))
+    monkeypatch.setattr(
+        close, "_profile_likelihood", lambda *_: (np.array([1.0, 2.0]), np.array([np.inf, np.inf]))
+    )
+    assert find_onset(own_base(), windows, before, possible("thrust_loss")) is None
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def test_weights_of_another_shape_are_refused(saved):
 
 
 def test_colours_alone_begin_from_the_weights_of_colours_and_masks(saved):
-    """With a mask of zeros both networks compute the same: what the mask adds is all that is lost."""
+    """With a mask of zeros both compute the same: what the mask adds is all that is lost."""
     made = learner(4, sees="rgb")
     made.start_from(saved)
     both = learner(4)
