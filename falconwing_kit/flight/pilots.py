@@ -76,6 +76,12 @@ PILOTS = {
         False,
         ("hall",),
     ),
+    "rgb": PilotEntry(
+        "by the camera: such a network of the image's colours alone",
+        ("landing", "follow"),
+        False,
+        ("hall",),
+    ),
     "mask": PilotEntry(
         "by the camera: a network of the past commands and of a mask of the leader, which another"
         " network finds in the image",
@@ -83,10 +89,14 @@ PILOTS = {
         False,
         ("hall",),
     ),
+    "rgb_mask": PilotEntry(
+        "by the camera: such a network of colours and mask", ("follow",), False, ("hall",)
+    ),
     "manual": PilotEntry("by hand, on the page of `falconwing class`", ("landing", "follow"), True),
 }
-PLANNED = ("rgb", "rgb_mask")  # names of later versions
-BY_POLICY = ("student", "mask")
+BY_POLICY = ("student", "rgb", "mask", "rgb_mask")
+# The student sees colours where it lands, colours and mask where it follows: the same networks.
+SAME_NETWORK = {("landing", "rgb"): "student", ("follow", "rgb_mask"): "student"}
 TASK_NAMES = ("landing", "follow")
 
 
@@ -182,9 +192,9 @@ def load_pilot(
 def require_pilot(name: str, task: str, scene: str) -> PilotEntry:
     """The entry of a pilot that flies a task in a scene; InputError for any other."""
     if name not in PILOTS:
-        is_planned = name in PLANNED
-        got = f"{name}, which this version of the kit does not have yet" if is_planned else name
-        raise InputError(f"pilot: expected one of {', '.join(PILOTS)}, got {got}; use one of these")
+        raise InputError(
+            f"pilot: expected one of {', '.join(PILOTS)}, got {name}; use one of these"
+        )
     entry = PILOTS[name]
     for what, value, known in (("task", task, TASK_NAMES), ("scene", scene, SCENES)):
         if value not in known:
@@ -212,9 +222,8 @@ def _pose_net(scene: str) -> PoseNet:
 @lru_cache(maxsize=4)
 def _policy(task: str, name: str) -> Policy:
     """The policy of a task, loaded once for all flights."""
-    return Policy.load(
-        Path(str(files("falconwing_kit.data") / f"policy_{task}_{name}.safetensors"))
-    )
+    file = f"policy_{task}_{SAME_NETWORK.get((task, name), name)}.safetensors"
+    return Policy.load(Path(str(files("falconwing_kit.data") / file)))
 
 
 def _checked_camera(net: PoseNet, camera: PinholeCamera | None) -> PinholeCamera:

@@ -15,7 +15,6 @@ from falconwing_kit.core.frames import camera_pose
 from falconwing_kit.core.messages import SAFE_COMMAND, Command, Image, Observation, State
 from falconwing_kit.flight import FollowTask, LandingTask, fpv_camera, load_pilot
 from falconwing_kit.flight.loop import Loop
-from falconwing_kit.flight.pilots import PILOTS, PLANNED
 from falconwing_kit.flight.pose_pilot import PosePilot
 
 CAMERA, MOUNT = fpv_camera(64, 48), np.array([0.20, 0.0, 0.0])
@@ -117,14 +116,13 @@ def glide(net, n):
     ]
 
 
-@pytest.mark.parametrize("name", PLANNED)
-def test_a_pilot_of_a_later_version_is_refused_by_one_sentence(name):
-    """It names those that are there."""
-    with pytest.raises(InputError, match="does not have yet; use one of these") as refusal:
-        load_pilot(name, camera=CAMERA)
-    known = "expert, expert_pid, pose, student, mask, manual"
-    assert str(refusal.value).startswith(f"pilot: expected one of {known}, got {name}")
-    assert name not in PILOTS
+def test_the_landing_by_colours_and_the_following_by_both_are_the_students():
+    """One file each: the student sees colours where it lands, colours and mask where it follows."""
+    for task, name, sees in (("landing", "rgb", "rgb"), ("follow", "rgb_mask", "rgb_mask")):
+        student = load_pilot("student", task, camera=CAMERA)
+        same = load_pilot(name, task, camera=CAMERA)
+        assert same._policy is student._policy and same._policy.shape.sees == sees
+    assert load_pilot("rgb", "follow", camera=CAMERA)._policy.shape.sees == "rgb"
 
 
 @pytest.mark.parametrize(

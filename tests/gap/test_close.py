@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from falconwing_kit.core.flight_table import FlightTable, slice_time
-from falconwing_kit.gap.baseline import bic_penalty
 from falconwing_kit.gap import close
+from falconwing_kit.gap.baseline import bic_penalty
 from falconwing_kit.gap.close import (
     close_gap,
     find_course,

@@ -134,7 +134,6 @@ def test_minutes_stay_under_the_papers_ten_hours():
         f"Propeller off from step {at['propeller_off']} to step {at['propeller_on']}.",
         f"(assembly, step {at['install']})",
         f"measure again (assembly step {at['lead']})",
-        f"battery forward; assembly step {at['balance']}",
         f"Step {at['balance']} of the assembly measures it",
     ):
         assert words in " ".join(page().text.split())

@@ -27,8 +27,9 @@ class Train:
     task: Literal["landing", "follow"] = "landing"
     """what the policy does"""
     pilot: str = "student"
-    """student: with a memory; rgb, mask, rgb_mask: one image, the leader's mask found in it, or
-    both, and the past 30 commands, as in the paper; several separated by commas share flights"""
+    """what it sees: rgb: the image's colours; rgb_mask: the leader's mask beside them, found in the
+    image; mask: that alone, with the past 30 commands and no memory, as in the paper; student: rgb
+    for a landing, rgb_mask to follow; several separated by commas share flights"""
     scene: str = "hall"
     """the hall: a name that ships, or a scene file"""
     size: str = "160x120"

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from falconwing_kit.tools.cli.train import Train
 
 # what is to be seen of a leader is small: its place and attitude are taught beside the commands
-WITH_MEMORY = {"student": "rgb", "rgb_mask": "rgb_mask"}  # pilot -> what its network sees
 FOLLOW_MEMORY_LOSS, FOLLOW_IMAGE_LOSS = 0.4, 0.6
 
 
@@ -117,11 +116,12 @@ def make_learners(
     masks = MaskLearner(schedule, device) if task == "follow" else None
     learners = []
     for name in names:
-        # the paper's policies see one image and the past 30 commands; these two have a memory
-        if name in WITH_MEMORY:
-            shape = replace(base, sees=WITH_MEMORY[name])
-        else:
-            shape = replace(base, memory=0, history=PAST, sees=name)
+        sees = name
+        if name == "student":
+            sees = "rgb_mask" if task == "follow" else "rgb"
+        shape = replace(base, sees=sees)
+        if sees == "mask":  # as the paper's policies: one image and the past 30 commands, no memory
+            shape = replace(shape, memory=0, history=PAST)
         finder = None if shape.sees == "rgb" else masks
         learners.append(Learner(shape, schedule, device, name, finder))
     return learners
