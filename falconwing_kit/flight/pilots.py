@@ -166,7 +166,8 @@ def load_pilot(
     if name == "manual":
         return ManualPilot(model, airframe, pad)
     if name in BY_POLICY:
-        policy = _policy(task, name) if weights is None else Policy.load(weights)
+        shipped = SAME_NETWORK.get((task, name), name)
+        policy = _policy(task, shipped) if weights is None else Policy.load(weights)
         if policy.record.task != task:
             raise InputError(
                 f"weights: expected a policy for the task {task}, got one for"
@@ -222,8 +223,9 @@ def _pose_net(scene: str) -> PoseNet:
 @lru_cache(maxsize=4)
 def _policy(task: str, name: str) -> Policy:
     """The policy of a task, loaded once for all flights."""
-    file = f"policy_{task}_{SAME_NETWORK.get((task, name), name)}.safetensors"
-    return Policy.load(Path(str(files("falconwing_kit.data") / file)))
+    return Policy.load(
+        Path(str(files("falconwing_kit.data") / f"policy_{task}_{name}.safetensors"))
+    )
 
 
 def _checked_camera(net: PoseNet, camera: PinholeCamera | None) -> PinholeCamera:

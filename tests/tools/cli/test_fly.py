@@ -53,7 +53,7 @@ def test_a_pilot_that_is_not_there_is_wrong_use(capsys):
         (("--pilot", "pose", "--scene", "arena"), "expected hall for pilot pose, got arena"),
         (("--pilot", "pose", "--no-render"), "--no-render: expected it with a pilot by the state"),
         (("--pilot", "pose", "--size", "16x16"), "image: expected 32 pixels a side or more"),
-        (("--pilot", "autopilot"), "expected one of expert, expert_pid, pose, student, mask"),
+        (("--pilot", "autopilot"), "expected one of expert, expert_pid, pose, student, rgb, mask"),
         (("--pilot", "manual"), "which nobody holds here; use `falconwing class`"),
         (("--pilot", "manual", "--headless"), "nobody holds here; use `falconwing class`"),
     ],
