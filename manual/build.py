@@ -12,11 +12,13 @@ shows the labs' outputs if `falconwing labs selftest --outputs build/lab_outputs
 import argparse
 import json
 import sys
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parent
+ASSEMBLY_CHAPTER = 4  # whose steps have codes of their own
 MAX_CHAPTERS = 60  # codes are made for so many and used by those that there are
 sys.path.insert(0, str(FOLDER / "site"))
 
@@ -102,21 +104,28 @@ def published(settings: "Settings") -> dict[str, Any]:
 
     Returns:
         codes: a QR code for the site's page of each chapter, by the chapter's number, as SVG with
-            its address; labs: name and address of each notebook that can be launched.
+            its address; steps: the same for each step of the assembly, by its id; labs: name and
+            address of each notebook that can be launched.
     """
     from falconwing_kit.tools.classroom.qr import qr_svg
 
-    codes = {}
+    def code(url: str) -> dict[str, str]:
+        return {"url": url, "svg": qr_svg(url).decode("utf-8")}
+
+    codes, steps = {}, {}
     if settings.site_url:
+        book = f"{settings.site_url}/builder"
         for number in range(1, MAX_CHAPTERS + 1):
-            url = f"{settings.site_url}/builder/{number:02d}.html"
-            codes[str(number)] = {"url": url, "svg": qr_svg(url).decode("utf-8")}
+            codes[str(number)] = code(f"{book}/{number:02d}.html")
+        for step in tomllib.loads((FOLDER / "assembly.toml").read_text("utf-8"))["steps"]:
+            place = f"{ASSEMBLY_CHAPTER:02d}.html#step-{step['id']}"
+            steps[step["id"]] = code(f"{book}/{place}")
     notebooks = sorted((ROOT / "labs").glob("lab[0-9]*/lab[0-9]*.ipynb"))
     labs = [
         {"name": path.stem, "url": settings.launch_url(path.relative_to(ROOT).as_posix())}
         for path in notebooks
     ]
-    return {"codes": codes, "labs": [lab for lab in labs if lab["url"]]}
+    return {"codes": codes, "steps": steps, "labs": [lab for lab in labs if lab["url"]]}
 
 
 def size_mb(path: Path) -> float:

@@ -437,7 +437,7 @@ def test_a_planted_broken_reference_stops_the_build(tmp_path, monkeypatch):
 
 def test_codes_lead_to_the_chapters_pages(tmp_path):
     """Read from the pages as a camera would, by OpenCV: one code a chapter, each the address of a
-    page that the site has.
+    page that the site has, and one a step, each the address of a place on such a page.
     """
     (tmp_path / "_static").mkdir()
     book_pages(html(), Stage(tmp_path, Settings(), tmp_path / "nothing"))
@@ -454,14 +454,21 @@ def test_codes_lead_to_the_chapters_pages(tmp_path):
                 read |= {text} - {""}
                 if text:
                     break
-    assert read == {f"{PUBLISHED.site_url}/builder/{name}.html" for name in pages}
+    places = [
+        f"{path.stem}.html#{place}"
+        for path in (tmp_path / "builder").glob("*.md")
+        for place in re.findall(r'id="(step-\w+)"', path.read_text("utf-8"))
+    ]
+    assert len(places) == len(set(places)) >= 25
+    wanted = {f"{PUBLISHED.site_url}/builder/{name}.html" for name in pages}
+    assert read == wanted | {f"{PUBLISHED.site_url}/builder/{place}" for place in places}
     assert len(pages) == len(re.findall(r"<h2[^>]*>\d+ ", html())) > 20
 
 
 def test_without_a_published_place_there_is_no_code_and_no_button():
     """As shipped; and a repository elsewhere than GitHub has buttons no more than none has."""
     nothing = BUILD.published(Settings())
-    assert nothing == {"codes": {}, "labs": []}
+    assert nothing == {"codes": {}, "steps": {}, "labs": []}
     assert BUILD.published(Settings(repository_url="https://example.org/kit")) == nothing
     assert "Run in the browser" not in page().text and "mybinder" not in html()
 
@@ -474,4 +481,4 @@ def test_launch_buttons_start_notebooks_that_exist():
     assert all((ROOT / path).is_file() for path in paths)
     text = BUILD.compiled("html", PUBLISHED).decode("utf-8")
     assert [lab["url"] for lab in labs if f'href="{lab["url"]}"' not in text] == []
-    assert json.dumps(BUILD.published(PUBLISHED)).count("<svg") == BUILD.MAX_CHAPTERS
+    assert json.dumps(BUILD.published(PUBLISHED)).count("<svg") >= BUILD.MAX_CHAPTERS + 25
