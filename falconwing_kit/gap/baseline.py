@@ -179,7 +179,8 @@ def _extend_form(
     """The fit with cross moments or an attitude hold, where the flight shows these; and its prior.
 
     Terms that every aircraft of a kind has come before effects: what they leave out in a calm
-    flight would look like an effect in a livelier one.
+    flight would look like an effect in a livelier one. Terms smaller than the drift from day to day
+    only fit the error of the integration, and are left out.
 
     Args:
         identified: the model that identification found.
@@ -199,11 +200,17 @@ def _extend_form(
         )  # fmt: skip
         level = max(1.0, result.cost / degrees_of_freedom(windows, result))
         price = ADDITION_EVIDENCE + added * np.log(max(windows.count, 2))
-        if extended.cost + level * price < best.cost:
+        if extended.cost + level * price < best.cost and _exceeds_drift(extended.model, result):
             best, best_prior = extended, prior
     if best is result:
         return result, weak
     return fit(best.model, windows, best.initial_states, prior=best_prior), best_prior
+
+
+def _exceeds_drift(model: Model, without: FitResult) -> bool:
+    """Whether any coefficient that the model has more is larger than its drift from day to day."""
+    added = [p for p in model.parameters if p.name not in without.model.names]
+    return any(abs(model.values[p.name]) > COEFFICIENT_DRIFT * ordinary_size(p, 0.0) for p in added)
 
 
 def _fit_from_other_starts(
