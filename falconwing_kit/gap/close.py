@@ -38,6 +38,10 @@ ONSET = "acts_since"  # parameter of an effect with an onset: it acts from this 
 END = {"on-off": "acts_until", "ramp": "acts_fully_from"}
 ONSET_CANDIDATES = 5  # effects that may have an onset: the best of those that act all along
 MIN_AFTER_ONSET_S = 8.0  # of flight after the onset: four windows, fewer do not support a name
+# Standard deviation, as a share of the size, by which a load or command in another aircraft differs
+# from its formula here. On 15 sizes of development flights of foreign aircraft (seeds 43000, 44000)
+# the intervals hold 12 at 0, 14 at 3 %, 15 at 5 %; wind, delay and camera are kinematics and exact.
+FORMULA_DEVIATION = 0.05
 LIKELIHOOD_DROP = 3.84  # of twice the log likelihood at the ends of a 95 % interval [Wilks 1938]
 MAX_BOUNDARIES = 60  # begins and ends of a course that a scan tries
 MAX_ONSET_ITERATIONS = 4  # fits at improving onset times
@@ -172,10 +176,15 @@ def _sizes(
     if last is None:
         return {}
     confidence = uncertainty(last, naming.windows, base.prior)
+    effect = candidate.effect
+    is_exact = bool(effect.wind_field or effect.input_map or effect.measurement_map)
     sizes = {}
-    for p in candidate.effect.parameters:
+    for p in effect.parameters:
         value = last.model.values[p.name]
         low, high = confidence.interval(p.name, value)
+        if not is_exact and p.name not in effect.shape:
+            half = float(np.hypot(high - value, 1.96 * FORMULA_DEVIATION * value))
+            low, high = value - half, value + half
         sizes[p.name] = ParameterEstimate(value, low, high, p.unit, p.meaning)
     return sizes
 

@@ -4,6 +4,7 @@ which it set in.
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,24 @@ def test_sizes_hold_the_truth():
         assert sizes[name].low95 < truth < sizes[name].high95
         assert sizes[name].high95 - sizes[name].low95 < 0.05
         assert sizes[name].unit == "m/s"
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "half"),
+    [("extra_drag", "drag_added", 0.002772), ("wind", "wind_x", 0.001960)],
+)
+def test_intervals_of_loads_hold_an_error_of_their_formula(monkeypatch, name, parameter, half):
+    """By hand: sigma 0.001 and 5 % of 0.02 as much again for a drag, 1.96 sqrt(0.001^2 + 0.001^2) =
+    0.002772; wind is the air's velocity itself, 1.96 * 0.001.
+    """
+    model = SimpleNamespace(values=dict.fromkeys((p.name for p in EFFECTS[name].parameters), 0.02))
+    known = SimpleNamespace(interval=lambda _, value: (value - 0.00196, value + 0.00196))
+    monkeypatch.setattr(close, "uncertainty", lambda *_: known)
+    candidate = EffectCandidate(EFFECTS[name], 0.0, 0.0, {}, SimpleNamespace(model=model))
+    naming = SimpleNamespace(verdict="ambiguous", chosen=(candidate,), windows=None)
+    size = close._sizes(SimpleNamespace(prior=None), naming, candidate)[parameter]
+    assert size.high95 - size.value == pytest.approx(half, rel=1e-3)
+    assert size.value - size.low95 == pytest.approx(half, rel=1e-3)
 
 
 def test_scored_windows_are_whole_blocks_of_time():

@@ -188,6 +188,32 @@ def test_an_effect_in_both_flights_hides_no_other(monkeypatch):
     assert new is flap
 
 
+def test_no_full_fit_far_below_the_best(monkeypatch):
+    """By hand: 0.1 of 1,000 is 100, so of linear evidence 1,000, 150, 99 and 98 two are fitted in
+    full; where the best has 60, all but the last, which is below -10.
+    """
+    fitted = []
+
+    def fit_effect(base, windows, before, guess, *_):
+        fitted.append(guess.delta_bic)
+        return replace(guess, result="a fit")
+
+    def count(*evidence):
+        fitted.clear()
+        open_ = [
+            EffectCandidate(effect, gain, gain, {}, None)
+            for effect, gain in zip(EFFECTS.values(), evidence, strict=False)
+        ]
+        monkeypatch.setattr(name_module, "_scan", lambda *_: open_)
+        ranking = name_module._rank(None, None, None, (), print)
+        assert [c.delta_bic for c in ranking] == list(evidence)
+        return tuple(fitted)
+
+    monkeypatch.setattr(name_module, "_fit_effect", fit_effect)
+    assert count(1000.0, 150.0, 99.0, 98.0) == (1000.0, 150.0)
+    assert count(60.0, 50.0, 20.0, 7.0, -11.0) == (60.0, 50.0, 20.0, 7.0)
+
+
 class Rows:
     """Windows as far as degrees of freedom are counted."""
 
