@@ -35,6 +35,17 @@ import os
 if not os.path.exists("given.py"):
     os.chdir("..")"""
 
+_FILES_BESIDE = """\
+import os
+
+if not os.path.exists("given.py"):
+    raise FileNotFoundError(
+        "given.py is not beside this notebook: open it in the folder {folder} that your course "
+        "handed out, or get the notebook for a hosted Python, which brings its files along"
+    )
+
+"""
+
 
 @dataclass(frozen=True)
 class SourceCell:
@@ -134,6 +145,10 @@ def build(folder: Path) -> dict[Path, str]:
     """
     cells = _with_version(read_cells(folder / "lab.py"))
     student = [(cell, cell.for_student()) for cell in cells if not cell.solution_only]
+    first = next((i for i, (cell, _) in enumerate(student) if not cell.markdown), None)
+    if first is not None:  # a notebook taken alone says what is missing
+        cell, text = student[first]
+        student[first] = cell, _FILES_BESIDE.format(folder=folder.resolve().name) + text
     solution = [(cell, cell.for_solution()) for cell in cells]
     start = SourceCell(_GO_TO_THE_LAB, solution_only=True)
     solution.insert(1, (start, start.text))  # below the title
