@@ -218,6 +218,18 @@ def test_what_a_function_raises_stands_beside_what_was_expected():
     assert "it raised ValueError" in text
 
 
+def test_what_rounding_left_of_a_zero_is_shown_as_zero():
+    """By hand: the check's point lies straight ahead, so its first coordinate is 0."""
+    here, hints = LabHere(LABS["lab02"]), load_hints(LABS["lab02"])["map_to_camera"]
+
+    def on_the_wrong_side(p_map, T_map_camera):
+        return T_map_camera[:3, :3].T @ (p_map - T_map_camera[:3, 3])
+
+    outcomes = run_checks(here.lab.exercise("map_to_camera"), on_the_wrong_side, hints)
+    text = "\n".join(report_lines("map_to_camera", outcomes))
+    assert "expected 0 at [0, 0], got" in text and "e-16 at" not in text
+
+
 def test_an_error_is_the_same_in_the_notebook_and_in_the_sandbox():
     """The sandbox says the type's name only; a timeout is no Python error."""
     assert raised(ValueError("x")) == raised(StudentError("exception:ValueError"))

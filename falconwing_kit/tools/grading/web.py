@@ -177,7 +177,7 @@ def _for_browser(path: Path) -> None:
     notebook = json.loads(path.read_text(encoding="utf-8"))
     first = [cell["cell_type"] for cell in notebook["cells"]].index("code")
     note = {"cell_type": "markdown", "id": "cell-browser-note", "metadata": {}, "source": [_KEEP]}
-    install = {
+    install: dict[str, Any] = {
         "cell_type": "code",
         "id": "cell-browser",
         "metadata": {},
