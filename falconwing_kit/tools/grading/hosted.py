@@ -10,6 +10,7 @@ notebook.
 import base64
 import io
 import json
+import mimetypes
 import re
 import shutil
 import tempfile
@@ -106,6 +107,7 @@ def hosted_text(folder: Path, salt: str = "", repository: str = "") -> str:
         file = notebook_path(lab)
         notebook = json.loads(file.read_text(encoding="utf-8"))
         file.unlink()
+        attach_pictures(notebook, lab)
         packed = base64.b64encode(_zip(lab)).decode()
     lines = [packed[i : i + LINE] for i in range(0, len(packed), LINE)]
     cell = _FIRST_CELL.format(
@@ -136,6 +138,19 @@ def published_repository() -> str:
     if not path.is_file():
         return ""
     return str(tomllib.loads(path.read_text(encoding="utf-8")).get("repository_url", ""))
+
+
+def attach_pictures(notebook: dict[str, Any], lab: Path) -> None:
+    """Put the lab's pictures that a text shows into the cell: no file lies beside the notebook."""
+    for cell in notebook["cells"]:
+        text = "".join(cell["source"]) if cell["cell_type"] == "markdown" else ""
+        for name in set(re.findall(r"!\[[^\]]*\]\(([\w.-]+)\)", text)):
+            kind = mimetypes.guess_type(name)[0] or "image/webp"
+            data = base64.b64encode((lab / name).read_bytes()).decode()
+            cell.setdefault("attachments", {})[name] = {kind: data}
+            text = text.replace(f"]({name})", f"](attachment:{name})")
+        if "attachments" in cell:
+            cell["source"] = text.splitlines(keepends=True)
 
 
 def _first_code(notebook: dict[str, Any]) -> int:

@@ -145,15 +145,11 @@ def build(folder: Path) -> dict[Path, str]:
     """
     cells = _with_version(read_cells(folder / "lab.py"))
     student = [(cell, cell.for_student()) for cell in cells if not cell.solution_only]
-    first = next((i for i, (cell, _) in enumerate(student) if not cell.markdown), None)
-    if first is not None:  # a notebook taken alone says what is missing
-        cell, text = student[first]
-        student[first] = cell, _FILES_BESIDE.format(folder=folder.resolve().name) + text
     solution = [(cell, cell.for_solution()) for cell in cells]
     start = SourceCell(_GO_TO_THE_LAB, solution_only=True)
     solution.insert(1, (start, start.text))  # below the title
     return {
-        notebook_path(folder): notebook_text(student),
+        notebook_path(folder): notebook_text(_with_files_beside(folder, student)),
         notebook_path(folder, solution=True): notebook_text(solution),
     }
 
@@ -196,6 +192,16 @@ def _cell_record(number: int, cell: SourceCell, text: str) -> dict[str, Any]:
         "source": text.splitlines(keepends=True),
     }
     return record if cell.markdown else record | {"execution_count": None, "outputs": []}
+
+
+def _with_files_beside(
+    folder: Path, cells: list[tuple[SourceCell, str]]
+) -> list[tuple[SourceCell, str]]:
+    """The cells, of which the first code says what is missing where the notebook is alone."""
+    first = next((i for i, (cell, _) in enumerate(cells) if not cell.markdown), len(cells))
+    lines = _FILES_BESIDE.format(folder=folder.resolve().name)
+    begun = [(cell, lines + text) for cell, text in cells[first : first + 1]]
+    return [*cells[:first], *begun, *cells[first + 1 :]]
 
 
 def write_notebooks(folder: Path) -> list[Path]:

@@ -66,7 +66,7 @@ def release(
     shutil.rmtree(part, ignore_errors=True)
     try:
         for folder in folders:
-            release_lab(folder, part / folder.name, salt)
+            _release_lab(folder, part / folder.name, salt)
             _release_handouts(folder, part / "handouts", salt, students)
         _write(part / "README.md", route_for_students(folders[0].parent / "README.md"))
         if out.is_dir():
@@ -85,14 +85,8 @@ def route_for_students(readme: Path) -> str:
     return text.split(INSTRUCTORS)[0].rstrip() + "\n"
 
 
-def release_lab(folder: Path, target: Path, salt: str) -> None:
-    """Write one lab's notebook, files, data and constants.
-
-    Args:
-        folder: the lab's.
-        target: a new folder.
-        salt: the course's key; empty for the open course.
-    """
+def _release_lab(folder: Path, target: Path, salt: str) -> None:
+    """Notebook, files, data and constants of one lab."""
     target.mkdir(parents=True)
     notebook = json.loads(build(folder)[notebook_path(folder)])
     notebook["metadata"] |= {COURSE_KEY: course_mark(salt)} if salt else {}
@@ -148,6 +142,17 @@ def without_answers(checks: str) -> str:
 def cohort_text(folder: Path, salt: str = "") -> str:
     """Content of a lab's `cohort.json` for a course."""
     return json.dumps(course_constants(load_checks(folder), salt), indent=1) + "\n"
+
+
+def release_lab(folder: Path, target: Path, salt: str = "") -> None:
+    """Write one lab's notebook, files, data and constants, as `release` does.
+
+    Args:
+        folder: the lab's.
+        target: a new folder.
+        salt: the course's key; empty for the open course.
+    """
+    _release_lab(folder, target, salt)
 
 
 def _release_handouts(folder: Path, target: Path, salt: str, students: Sequence[str]) -> None:

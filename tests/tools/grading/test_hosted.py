@@ -11,7 +11,7 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.collect import broken_cells, parse_notebook
 from falconwing_kit.tools.grading.find import lab_folder, notebook_path
-from falconwing_kit.tools.grading.hosted import hosted_notebooks, hosted_text
+from falconwing_kit.tools.grading.hosted import attach_pictures, hosted_notebooks, hosted_text
 from falconwing_kit.tools.grading.release import release
 from falconwing_kit.tools.grading.wheel import WHEEL_NAME
 from tests.labs.functions import ROOT
@@ -110,3 +110,14 @@ def test_the_address_is_the_published_one_and_nothing_else(tmp_path):
         with pytest.raises(InputError, match=r"expected https://\.\.\."):
             hosted_notebooks([folder], tmp_path / "out", repository=wrong)
     assert not (tmp_path / "out").exists()
+
+
+def test_pictures_of_the_text_are_in_the_notebook(tmp_path):
+    """A picture beside the lab is no file beside the hosted notebook: the cell holds it."""
+    folder = write_small_lab(tmp_path / "labs")
+    (folder / "points.png").write_bytes(b"picture")
+    notebook = {"cells": [{"cell_type": "markdown", "source": ["A ![dot](points.png)"]}]}
+    attach_pictures(notebook, folder)
+    (cell,) = notebook["cells"]
+    assert cell["attachments"] == {"points.png": {"image/png": "cGljdHVyZQ=="}}
+    assert "](attachment:points.png)" in "".join(cell["source"])
