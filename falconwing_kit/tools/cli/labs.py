@@ -205,6 +205,8 @@ class Web:
         count = web_site(folders, self.out, self.pyodide, key)
         size = sum(path.stat().st_size for path in self.out.rglob("*") if path.is_file())
         print(f"{self.out}: {len(folders)} labs, {count} files, {size / 1e6:.0f} MB")
+        if key:
+            print("keep your course's salt: grading these labs needs it")
         next_line(f"python -m http.server --directory {self.out}, and open lab/index.html there")
         return 0
 
@@ -256,6 +258,8 @@ class Hosted:
         print_table(("file", "kB"), [(each.name, each.stat().st_size // 1000) for each in files])
         source = repository or "the wheel, which students upload beside the notebook"
         print(f"the first cell installs the kit from {source}")
+        if key:
+            print("keep your course's salt: grading these labs needs it")
         next_line("hand the notebooks out; later falconwing grade lab03 SUBMISSIONS --out grades")
         return 0
 
