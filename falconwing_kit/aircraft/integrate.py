@@ -93,7 +93,8 @@ def roll_out_compiled(
 ) -> Array:
     """The same as `roll_out_batch` to rounding, one aircraft after the other, compiled by numba.
 
-    Much faster for a single flight; the first call compiles for some seconds.
+    Much faster for a single flight; the first call compiles for some seconds. Without numba, as in
+    a browser, it runs as plain Python.
     """
     fly, _ = _compile_flight(model.form, model.terms, model.winds)
     flown = np.empty((start.shape[0], commands.shape[1] + 1, start.shape[1]))
@@ -111,11 +112,18 @@ def roll_out_compiled(
     return flown
 
 
+def _njit(function: Any) -> Any:
+    """numba's compiler; the function itself where there is no numba."""
+    try:
+        from numba import njit
+    except ModuleNotFoundError:
+        return function
+    return njit(function)
+
+
 @cache
 def _compile(function: Any) -> Any:
     """A function compiled by numba, with the functions of its module and closure that it calls."""
-    from numba import njit
-
     if not isinstance(function, FunctionType):
         return function  # compiled already
     scope = function.__globals__
@@ -130,19 +138,17 @@ def _compile(function: Any) -> Any:
         else cell
         for cell in function.__closure__ or ()
     )
-    return njit(
+    return _njit(
         FunctionType(function.__code__, {**scope, **called}, function.__name__, None, cells)
     )
 
 
 @cache
 def _compile_flight(form: Any, terms: Any, winds: Any) -> Any:
-    from numba import njit
-
     f = state_rates(form, terms, winds, _compile)
     n = 9 if form == "paper" else 12
 
-    @njit
+    @_njit
     def fly(start, means, slopes, time, dt, K, out):  # type: ignore[no-untyped-def]
         x, shifted, total = start.copy(), np.empty(n), np.empty(n)
         out[0] = x
@@ -162,7 +168,7 @@ def _compile_flight(form: Any, terms: Any, winds: Any) -> Any:
                 x[i] += dt / 6.0 * total[i]
             out[step + 1] = x
 
-    @njit
+    @_njit
     def fly_all(starts, means, slopes, times, dt, K, out):  # type: ignore[no-untyped-def]
         flown = np.empty((means.shape[1] + 1, n))
         for row in range(starts.shape[0]):

@@ -169,7 +169,8 @@ def shipped_path(relative: str, advice: str) -> Path:
     """
     beside = Path(__file__).parents[2]
     # an environment's folder, a user's own installation, or `pip install --target`
-    prefixes = [Path(sys.prefix), Path(site.getuserbase()), beside]
+    own = site.getuserbase()  # none in a browser
+    prefixes = [Path(sys.prefix), *([Path(own)] if own else []), beside]
     candidates = [
         beside / relative,
         *(prefix / "share" / "falconwing_kit" / relative for prefix in prefixes),

@@ -90,7 +90,7 @@ check(rot_from_euler)
 # %%
 R_map_body = rot_from_euler(0.0, np.radians(10.0), np.radians(COHORT["runway_heading_deg"] + 90.0))
 for name, column in zip(("nose", "right wing", "belly"), R_map_body.T, strict=True):
-    print(f"{name:>10} points to", np.round(column, 3), "(right, along, up)")
+    print(f"{name:>10} points to", np.round(column, 3) + 0.0, "(right, along, up)")
 
 # %% [markdown]
 # Before you read on: is that right, for an aircraft that flies across the runway to the right and climbs?
@@ -289,8 +289,9 @@ plt.show()
 # camera and up. The map beside shows the two cameras before the pad, and the wedge of floor that each one sees, open
 # where its picture shows walls.*
 #
-# **Question on the figure.** Break one thing at a time and look again: change the sign of the roll, leave out the tilt,
-# leave out $k_1$ (look closely). Say which lines moved, and which way. Where in the picture would you have noticed
+# **Question on the figure.** Break one thing at a time, in the cell above, and look again: change the sign of the roll
+# (`-view["roll"]`), leave out the tilt (`0.0` for `tilt`), leave out $k_1$ (look closely; `lens | {"k1": 0.0}` in
+# `draw_view`'s line). Say which lines moved, and which way. Where in the picture would you have noticed
 # $k_1$? Then put everything back.
 
 # %% [markdown] answer="axes_reading"

@@ -17,7 +17,12 @@ from falconwing_kit.tools.grading.hints import (
     raised,
 )
 from falconwing_kit.tools.grading.hints_library import hints_text
-from falconwing_kit.tools.grading.public_checks import check_notebook, report_lines, run_checks
+from falconwing_kit.tools.grading.public_checks import (
+    check,
+    check_notebook,
+    report_lines,
+    run_checks,
+)
 from falconwing_kit.tools.grading.release import release
 from falconwing_kit.tools.grading.sandbox.host import StudentError
 from tests.labs.functions import ROOT, LabHere, library_functions
@@ -216,6 +221,30 @@ def test_what_a_function_raises_stands_beside_what_was_expected():
     text = "\n".join(report_lines("min_speed", outcomes))
     assert "expected (), 7.31" in text or "expected 7.31" in text
     assert "it raised ValueError" in text
+
+
+def test_a_mistake_that_is_not_known_is_said_not_to_be(monkeypatch, capsys):
+    """A further step of a hint that there is none of would print the same again without a word."""
+    monkeypatch.chdir(LABS["lab01"])
+
+    def min_speed(mass_g, temperature_c):
+        return 0.0317 * mass_g + 11.3 * temperature_c**3
+
+    for step, said in ((1, False), (2, True), (3, True)):
+        check(min_speed, step=step)
+        assert ("no known mistake answers like this" in capsys.readouterr().out) == said
+
+
+def test_what_rounding_left_of_a_zero_is_shown_as_zero():
+    """By hand: the check's point lies straight ahead, so its first coordinate is 0."""
+    here, hints = LabHere(LABS["lab02"]), load_hints(LABS["lab02"])["map_to_camera"]
+
+    def on_the_wrong_side(p_map, T_map_camera):
+        return T_map_camera[:3, :3].T @ (p_map - T_map_camera[:3, 3])
+
+    outcomes = run_checks(here.lab.exercise("map_to_camera"), on_the_wrong_side, hints)
+    text = "\n".join(report_lines("map_to_camera", outcomes))
+    assert "expected 0 at [0, 0], got" in text and "e-16 at" not in text
 
 
 def test_an_error_is_the_same_in_the_notebook_and_in_the_sandbox():

@@ -168,6 +168,103 @@ class Release:
 
 
 @dataclass(frozen=True)
+class Web:
+    """Build a static site where students do labs in the browser, and install nothing.
+
+    Labs 1, 2, 4, 5, 7, 11 and 12. Needs the extra `web` and an unpacked Pyodide distribution.
+    """
+
+    out: Annotated[Path, tyro.conf.Positional]
+    """a new folder"""
+    names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """labs, such as lab01; all that run in a browser if none is named"""
+    pyodide: Path | None = None
+    """the folder of a Pyodide distribution: the browser's Python, which the kit does not ship"""
+    salt: str = ""
+    """the course's secret, if you type one"""
+    course: Path | None = None
+    """the course's folder, with salt.txt; without --course and --salt: the open course"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+
+    def run(self) -> int:
+        """Build the site.
+
+        Returns:
+            0: it is built.
+
+        Raises:
+            InputError: a lab does not run in a browser, or the Pyodide folder cannot be used.
+        """
+        from falconwing_kit.tools.grading.hosted import IN_BROWSER
+        from falconwing_kit.tools.grading.salt import course_key
+        from falconwing_kit.tools.grading.web import web_site
+
+        key = course_key(self.salt, self.course, make=True)
+        folders = select_labs(self.names or IN_BROWSER, self.labs)
+        count = web_site(folders, self.out, self.pyodide, key)
+        size = sum(path.stat().st_size for path in self.out.rglob("*") if path.is_file())
+        print(f"{self.out}: {len(folders)} labs, {count} files, {size / 1e6:.0f} MB")
+        if key:
+            print("keep your course's salt: grading these labs needs it")
+        next_line(f"python -m http.server --directory {self.out}, and open lab/index.html there")
+        return 0
+
+
+@dataclass(frozen=True)
+class Hosted:
+    """Write one notebook a lab for a hosted Python, with the lab's files inside, and the kit.
+
+    Labs 3, 6, 8, 9, 10 and 13, which need more than a browser has; others if you name them.
+    """
+
+    out: Annotated[Path, tyro.conf.Positional]
+    """a new folder"""
+    names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """labs, such as lab03"""
+    repository: str | None = None
+    """where the first cell installs the kit from; repository_url of manual/settings.toml if not
+    given. Without any, students upload the wheel beside the notebook
+    """
+    salt: str = ""
+    """the course's secret, if you type one"""
+    course: Path | None = None
+    """the course's folder, with salt.txt; without --course and --salt: the open course"""
+    labs: Path | None = None
+    """the folder with the labs; the checkout's own if not given"""
+
+    def run(self) -> int:
+        """Write the notebooks and the wheel.
+
+        Returns:
+            0: they are written.
+
+        Raises:
+            InputError: the folder is not empty, the address is not one, or a lab cannot be used.
+        """
+        from falconwing_kit.tools.grading.hosted import (
+            IN_BROWSER,
+            hosted_notebooks,
+            published_repository,
+        )
+        from falconwing_kit.tools.grading.salt import course_key
+
+        key = course_key(self.salt, self.course, make=True)
+        repository = published_repository() if self.repository is None else self.repository
+        folders = select_labs(self.names, self.labs)
+        if not self.names:
+            folders = [each for each in folders if each.name.split("_")[0] not in IN_BROWSER]
+        files = hosted_notebooks(folders, self.out, key, repository)
+        print_table(("file", "kB"), [(each.name, each.stat().st_size // 1000) for each in files])
+        source = repository or "the wheel, which students upload beside the notebook"
+        print(f"the first cell installs the kit from {source}")
+        if key:
+            print("keep your course's salt: grading these labs needs it")
+        next_line("hand the notebooks out; later falconwing grade lab03 SUBMISSIONS --out grades")
+        return 0
+
+
+@dataclass(frozen=True)
 class Selftest:
     """Grade the labs' own notebooks: solutions must get full marks, untouched ones none.
 
@@ -439,7 +536,16 @@ class Labs:
     """Build the labs' notebooks, release them to students, test them, or sum up a course."""
 
     step: tyro.conf.OmitSubcommandPrefixes[
-        Build | Hints | Release | Selftest | Autograder | Gradebook | CollectMine | Board
+        Build
+        | Hints
+        | Release
+        | Web
+        | Hosted
+        | Selftest
+        | Autograder
+        | Gradebook
+        | CollectMine
+        | Board
     ]
 
     def run(self) -> int:

@@ -35,6 +35,7 @@ FILE = "hints.json"
 PLACES = 24  # numbers of one answer that are stored, spread evenly over it
 NEARBY, NEAR_SCALES = 8, (0.1, 0.8)  # calls that are varied, and by how much
 RTOL, ATOL = 1e-5, 1e-9  # stored numbers have seven digits
+ROUNDING = 1e-12  # far below what any check accepts as equal
 Numbers = dict[str, Any]  # place in the answer -> number, text or truth value
 
 
@@ -312,7 +313,10 @@ def _expected(numbers: Numbers) -> str:
 
 
 def _show(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    """A number in short; what rounding left of a zero is a zero."""
+    if isinstance(value, float):
+        return f"{value:.6g}" if abs(value) >= ROUNDING else "0"
+    return str(value)
 
 
 def _general(pairs: Sequence[tuple[Numbers, Numbers]]) -> str:

@@ -35,6 +35,17 @@ import os
 if not os.path.exists("given.py"):
     os.chdir("..")"""
 
+_FILES_BESIDE = """\
+import os
+
+if not os.path.exists("given.py"):
+    raise FileNotFoundError(
+        "given.py is not beside this notebook: open it in the folder {folder} that your course "
+        "handed out, or get the notebook for a hosted Python, which brings its files along"
+    )
+
+"""
+
 
 @dataclass(frozen=True)
 class SourceCell:
@@ -138,7 +149,7 @@ def build(folder: Path) -> dict[Path, str]:
     start = SourceCell(_GO_TO_THE_LAB, solution_only=True)
     solution.insert(1, (start, start.text))  # below the title
     return {
-        notebook_path(folder): notebook_text(student),
+        notebook_path(folder): notebook_text(_with_files_beside(folder, student)),
         notebook_path(folder, solution=True): notebook_text(solution),
     }
 
@@ -181,6 +192,16 @@ def _cell_record(number: int, cell: SourceCell, text: str) -> dict[str, Any]:
         "source": text.splitlines(keepends=True),
     }
     return record if cell.markdown else record | {"execution_count": None, "outputs": []}
+
+
+def _with_files_beside(
+    folder: Path, cells: list[tuple[SourceCell, str]]
+) -> list[tuple[SourceCell, str]]:
+    """The cells, of which the first code says what is missing where the notebook is alone."""
+    first = next((i for i, (cell, _) in enumerate(cells) if not cell.markdown), len(cells))
+    lines = _FILES_BESIDE.format(folder=folder.resolve().name)
+    begun = [(cell, lines + text) for cell, text in cells[first : first + 1]]
+    return [*cells[:first], *begun, *cells[first + 1 :]]
 
 
 def write_notebooks(folder: Path) -> list[Path]:

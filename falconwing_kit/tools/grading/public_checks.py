@@ -264,6 +264,12 @@ def check(function: Function, step: int = 1) -> None:
         if step < STEPS and any(each.steps for each in outcomes):
             more = ("names the mistake", "says what to change")[max(step, 1) - 1]
             lines.append(f"   check({name}, step={max(step, 1) + 1}) {more}")
+        elif (
+            step > 1
+            and any(o.state == "failed" for o in outcomes)
+            and not any(o.cause or o.steps for o in outcomes)
+        ):
+            lines.append("   no known mistake answers like this: compare expected with got")
     except Exception as error:  # a check must not stop a notebook, whatever the student changed
         lines = [f"this could not be checked: {error}"]
     print("\n".join(map(to_printable, lines)))

@@ -144,6 +144,17 @@ def cohort_text(folder: Path, salt: str = "") -> str:
     return json.dumps(course_constants(load_checks(folder), salt), indent=1) + "\n"
 
 
+def release_lab(folder: Path, target: Path, salt: str = "") -> None:
+    """Write one lab's notebook, files, data and constants, as `release` does.
+
+    Args:
+        folder: the lab's.
+        target: a new folder.
+        salt: the course's key; empty for the open course.
+    """
+    _release_lab(folder, target, salt)
+
+
 def _release_handouts(folder: Path, target: Path, salt: str, students: Sequence[str]) -> None:
     """Individual files of each student, where the lab's `hidden.py` defines `handout`."""
     if not students:
