@@ -30,7 +30,7 @@ _SOLUTION = re.compile(
 )
 # formatter directives, removed from the notebooks
 _FOR_THE_FORMATTER = re.compile(r"[ \t]*# (?:fmt: (?:skip|off|on)|noqa\b.*)$", re.MULTILINE)
-_QUIZ_LINE = re.compile(r"^quiz = \{.*?\}$", re.MULTILINE | re.DOTALL)
+_QUIZ_LINE = re.compile(r"^(quiz) = \{.*?\}$", re.MULTILINE | re.DOTALL)
 _MARKER = re.compile(r"^[ \t]*# (?:BEGIN|END) SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE)
 _GO_TO_THE_LAB = """\
 # Jupyter starts in this notebook's folder; what the lab needs lies one folder up.
@@ -164,8 +164,8 @@ def _with_quiz(
     text = SourceCell(questions_text(questions), markdown=True)
     both = []
     for solved in (False, True):
-        line = answers_line(questions, solved=solved)
-        words = _QUIZ_LINE.sub(lambda _, line=line: line, cells[place].text, count=1)
+        before, _, after = _QUIZ_LINE.split(cells[place].text, maxsplit=1)
+        words = f"{before}{answers_line(questions, solved=solved)}{after}"
         both.append([*cells[:place], text, replace(cells[place], text=words), *cells[place + 1 :]])
     return both[0], both[1]
 

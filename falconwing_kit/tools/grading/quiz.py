@@ -135,7 +135,8 @@ def _question(
     if kind not in KINDS:
         raise InputError(f"{where}: expected a kind of {', '.join(KINDS)}, got {kind!r}")
     extra = _NUMBER_KEYS if kind == "number" else _CHOICE_KEYS
-    unknown, missing = sorted(set(entry) - _KEYS - extra), sorted(_KEYS - set(entry))
+    needed = _KEYS | ({"formula", "unit"} if kind == "number" else {"right", "wrong"})
+    unknown, missing = sorted(set(entry) - _KEYS - extra), sorted(needed - set(entry))
     if unknown or missing:
         raise InputError(f"{where}: unknown: {', '.join(unknown)}; missing: {', '.join(missing)}")
     key, lab = course
@@ -162,8 +163,8 @@ def _question(
         }
     else:
         parts = {"choices": _choices(where, kind, entry, f"{key}/{lab}/quiz{number}", names)}
-    texts = {name: _filled(where, str(entry[name]), names) for name in _KEYS - {"kind"}}
-    return Question(number=number, kind=kind, **texts, **parts)
+    parts |= {name: _filled(where, str(entry[name]), names) for name in _KEYS - {"kind"}}
+    return Question(number=number, kind=kind, **parts)
 
 
 def _choices(

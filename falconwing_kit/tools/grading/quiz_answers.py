@@ -83,10 +83,11 @@ def _read(notebook: Notebook) -> tuple[list[tuple[int, str, Any]], str]:
 
 def _sets(node: ast.stmt) -> TypeGuard[ast.Assign | ast.AnnAssign]:
     """Whether a statement assigns to `quiz` as a whole."""
+    targets: list[ast.expr] = []
     if isinstance(node, ast.AnnAssign):
         targets = [node.target]
-    else:
-        targets = node.targets if isinstance(node, ast.Assign) else []
+    elif isinstance(node, ast.Assign):
+        targets = node.targets
     return any(isinstance(each, ast.Name) and each.id == NAME for each in targets)
 
 

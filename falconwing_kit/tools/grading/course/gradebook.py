@@ -263,8 +263,8 @@ def gradescope_results(entry: GradebookEntry, said: Mapping[str, str]) -> dict[s
         )
     if entry.quiz_points and entry.quiz is not None:
         marked = entry.record.get("quiz", {"right": 0, "of": 0})
-        said = f"{marked['right']} of {marked['of']} questions right"
-        tests.append(_test("quiz", round(entry.quiz, 4), entry.quiz_points, said))
+        words = f"{marked['right']} of {marked['of']} questions right"
+        tests.append(_test("quiz", round(entry.quiz, 4), entry.quiz_points, words))
     for each in entry.lab.rubric:
         if each.name in entry.person.points:
             tests.append(
