@@ -153,12 +153,13 @@ def _goals(opening: str) -> list[str]:
 
 
 def _solution(cells: list[dict[str, Any]], name: str) -> dict[str, str]:
-    """Code and first line of the docstring of an exercise in the solution notebook."""
+    """Code of an exercise in the solution notebook, and what its docstring begins with."""
     (cell,) = [cell for cell in cells if cell["metadata"].get("exercise") == name]
     text = "".join(cell["source"])
     doc = re.search(r'"""(.*?)(?:\n\n|""")', text, re.DOTALL)
     body = re.sub(r'\n[ \t]*""".*?"""', "", text, count=1, flags=re.DOTALL)
-    summary = " ".join(doc[1].split()) if doc else ""
+    first = " ".join(doc[1].split()) if doc else ""
+    summary = re.split(r"(?<=\.) (?=Use )", first)[0]
     return {"code": textwrap.dedent(body).strip(), "summary": typst_of(summary)}
 
 
