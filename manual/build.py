@@ -3,10 +3,12 @@
     .venv/bin/python manual/build.py              the manual, into build/manual, in seconds
     .venv/bin/python manual/build.py --out here
     .venv/bin/python manual/build.py site         the site; then open build/site/index.html
+    .venv/bin/python manual/build.py slides       slides, handout and walk-through of each lab
 
-The manual needs the extra `manual` (typst, one wheel), the site the extra `site`. Neither is kept
-in git. Figures are redrawn by figures/make_figures.py and hardware/assembly/draw.py only; the site
-shows the labs' outputs if `falconwing labs selftest --outputs build/lab_outputs` has written them.
+The manual needs the extra `manual` (typst, one wheel), the site the extra `site`, the slides also
+`labs`. None is kept in git. Figures are redrawn by figures/make_figures.py and
+hardware/assembly/draw.py only; the site and the slides show the labs' outputs if
+`falconwing labs selftest --outputs build/lab_outputs` has written them.
 """
 
 import argparse
@@ -19,8 +21,9 @@ from typing import TYPE_CHECKING, Any
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parent
 ASSEMBLY_CHAPTER = 4  # whose steps have codes of their own
+EXTRA = {"slides": "manual,labs"}  # where it is not called as what is built
 MAX_CHAPTERS = 60  # codes are made for so many and used by those that there are
-sys.path.insert(0, str(FOLDER / "site"))
+sys.path[:0] = [str(FOLDER / "site"), str(FOLDER)]
 
 if TYPE_CHECKING:
     from stage import Settings
@@ -28,17 +31,17 @@ if TYPE_CHECKING:
 
 def main(words: list[str] | None = None) -> int:
     """Build one of them; 0 done, 1 if a library is missing or the source has an error."""
-    parser = argparse.ArgumentParser(description="Build the manual as PDF and HTML, or the site.")
-    parser.add_argument("what", nargs="?", choices=("manual", "site"), default="manual")
+    parser = argparse.ArgumentParser(description="Build the manual, the site, or the slides.")
+    parser.add_argument("what", nargs="?", choices=("manual", "site", "slides"), default="manual")
     parser.add_argument("--out", type=Path, help="folder to write to; build/WHAT if not given")
     settings = parser.parse_args(words)
     out = settings.out or ROOT / "build" / settings.what
     try:
-        pages = build_site(out) if settings.what == "site" else build(out)
+        pages = {"manual": build, "site": build_site, "slides": build_slides}[settings.what](out)
     except ModuleNotFoundError as missing:
         print(
             f"{settings.what}: expected {missing.name}, got none; "
-            f'pip install -c constraints.txt -e ".[{settings.what}]"',
+            f'pip install -c constraints.txt -e ".[{EXTRA.get(settings.what, settings.what)}]"',
             file=sys.stderr,
         )
         return 1
@@ -50,7 +53,7 @@ def main(words: list[str] | None = None) -> int:
     return 0
 
 
-def build(out: Path) -> tuple[Path, Path]:
+def build(out: Path) -> tuple[Path, ...]:
     """Write the PDF and the HTML to a folder, which is created; their paths.
 
     Raises:
@@ -66,7 +69,7 @@ def build(out: Path) -> tuple[Path, Path]:
     return paths
 
 
-def build_site(out: Path) -> tuple[Path]:
+def build_site(out: Path) -> tuple[Path, ...]:
     """Write the site to a folder, which is made anew; the path of its front page.
 
     Raises:
@@ -78,6 +81,21 @@ def build_site(out: Path) -> tuple[Path]:
 
     render(out.resolve(), compiled)
     return (out / "index.html",)
+
+
+def build_slides(out: Path) -> tuple[Path, ...]:
+    """Write slides, handout and walk-through of each lab; their paths.
+
+    Raises:
+        RuntimeError: a source has an error; the message has its line and a hint.
+    """
+    import typst
+    from lectures import build_lectures
+
+    def compile_one(source: Path, inputs: dict[str, str]) -> Any:
+        return typst.compile(str(source), format="pdf", sys_inputs=inputs, **where())
+
+    return tuple(build_lectures(out, compile_one))
 
 
 def compiled(form: str, settings: "Settings | None" = None, **options: Any) -> Any:

@@ -31,6 +31,7 @@ ALONE = {
     "tools/classroom/test_pages.py": "a browser and a page's server",
     "tools/grading": "the sandbox's time limits, and processes that it may not leave behind",
     "manual/test_commands.py": "commands in real time",
+    "manual/test_lectures.py": "processor time",
     "manual/test_manual.py": "processor time",
     "manual/test_site.py": "processor time and a browser",
     "stories/test_host_killed.py": "a flight in real time",

@@ -321,6 +321,12 @@ plt.show()
 # no. Comparing renders: yes, every edge differs. Fitting poses: yes, it is the same for all points, so it does not
 # average out; it ends up in the pose.
 
+# %% quiz="quiz"
+from falconwing_kit.tools.grading import check_quiz
+
+quiz = {1: None, 2: None, 3: None, 4: None, 5: None}
+check_quiz(quiz)
+
 # %% [markdown]
 # ## What you can do now
 # You can compute for every point of the hall where it appears in the picture, and back. The kit's versions are

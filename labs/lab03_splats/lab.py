@@ -300,6 +300,12 @@ plt.show()
 # pixels. So renderers cut the picture into tiles, give each tile the list of splats whose box touches it, and stop a
 # pixel when its light is used up. The kit needs about 50 ms.
 
+# %% quiz="quiz"
+from falconwing_kit.tools.grading import check_quiz
+
+quiz = {1: None, 2: None, 3: None, 4: None, 5: None}
+check_quiz(quiz)
+
 # %% [markdown]
 # ## What you can do now
 # You have written the whole forward path of a Gaussian-splat renderer. The kit's

@@ -374,6 +374,12 @@ print(f"R = V^2 / (g tan bank) = {radius:.2f} m")
 # ground). The pilot must steepen the bank where the wind carries towards the wall, or aim the circle upwind; a hall
 # 20 m wide has only 1 m to spare beside an 8.7 m circle anyway.
 
+# %% quiz="quiz"
+from falconwing_kit.tools.grading import check_quiz
+
+quiz = {1: None, 2: None, 3: None, 4: None, 5: None}
+check_quiz(quiz)
+
 # %% [markdown]
 # ## What you can do now
 #

@@ -415,6 +415,12 @@ plt.show()
 # and in angle. Further points far from the marker help most: the corners of the landing pad, 14 m away, measured
 # by tape (the kit does that; it leaves about 3 cm). A second marker at the other end would do as well.
 
+# %% quiz="quiz"
+from falconwing_kit.tools.grading import check_quiz
+
+quiz = {1: None, 2: None, 3: None, 4: None, 5: None}
+check_quiz(quiz)
+
 # %% [markdown]
 # ## What you can do now
 # You can put a camera's world where it belongs, and say how well. `falconwing scene poses` and `falconwing scene align`

@@ -435,6 +435,12 @@ for seed in range(10):
 # bank overshoots to 60°, the stall margin falls below 1, the circuit ends in a wall, and some touchdowns are as hard
 # as without flare.
 
+# %% quiz="quiz"
+from falconwing_kit.tools.grading import check_quiz
+
+quiz = {1: None, 2: None, 3: None, 4: None, 5: None}
+check_quiz(quiz)
+
 # %% [markdown]
 # ## What you can do now
 # You have an expert: it shows a learner what to do in each state (lab 8). The kit's own expert, in

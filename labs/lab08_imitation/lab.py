@@ -390,6 +390,12 @@ plot_drift(tracks, results)
 # and hardly any by the other only, the difference is not luck. 19 of 20 has a 95 % interval of about 0.75 to 1.00, so
 # "as good as the expert" is not shown. More flights, and more than one training seed; then intervals for both.
 
+# %% quiz="quiz"
+from falconwing_kit.tools.grading import check_quiz
+
+quiz = {1: None, 2: None, 3: None, 4: None, 5: None}
+check_quiz(quiz)
+
 # %% [markdown]
 # ## What you can do now
 #

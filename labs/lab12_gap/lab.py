@@ -576,6 +576,12 @@ plt.show()
 # has anyway. Wind and ground effect stay: no number makes them. The other friend always names something: one of ten
 # gains is always the largest. On every baseline flight he reports an effect that is not there.
 
+# %% quiz="quiz"
+from falconwing_kit.tools.grading import check_quiz
+
+quiz = {1: None, 2: None, 3: None, 4: None, 5: None}
+check_quiz(quiz)
+
 # %% [markdown]
 # ## What you can do now
 # You can distinguish a wrong model from chance, name what is missing, or conclude that nothing is. Compare with the kit,

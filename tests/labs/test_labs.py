@@ -157,7 +157,7 @@ def test_release_holds_no_solution_no_hidden_case_and_no_notes(folder, tmp_path)
         for path in files
         if folder.name in path.parts
     }
-    plain = {"given.py", "checks.py", "cohort.json", "hints.json", "data"}
+    plain = {"given.py", "checks.py", "cohort.json", "hints.json", "quiz.json", "data"}
     assert names <= {notebook_path(folder).name, *plain}
     secret, shown = set(), set()
     for cell in read_cells(folder / "lab.py"):

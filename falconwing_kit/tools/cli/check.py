@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
+from falconwing_kit.tools.grading.collect import read_notebook
 from falconwing_kit.tools.grading.find import lab_folder, load_checks, notebook_path
 from falconwing_kit.tools.grading.public_checks import (
     STEPS,
@@ -16,6 +17,13 @@ from falconwing_kit.tools.grading.public_checks import (
     exercise_state,
     outcome_lines,
     to_printable,
+)
+from falconwing_kit.tools.grading.quiz import FORM, SOURCE
+from falconwing_kit.tools.grading.quiz_answers import (
+    mark_answers,
+    quiz_here,
+    quiz_lines,
+    read_answers,
 )
 
 
@@ -53,8 +61,19 @@ class Check:
         if self.json:
             print_json({"lab": folder.name, "exercises": [_record(report) for report in reports]})
         else:
-            _print_reports(folder, reports, states, self.step)
+            quiz = _quiz_lines(folder, self.notebook or notebook_path(folder))
+            _print_reports(folder, reports, states, self.step, quiz)
         return int(set(states) != {"passed"})
+
+
+def _quiz_lines(folder: Path, notebook: Path) -> list[str]:
+    """What the quiz cell of a notebook holds; nothing where the lab has no quiz."""
+    if not any((folder / name).is_file() for name in (SOURCE, FORM)):
+        return []
+    questions, known = quiz_here(folder)
+    answers, problem = read_answers(read_notebook(notebook))
+    marks = mark_answers(questions, answers, known=known)
+    return quiz_lines(questions, marks, known) + ([f"   ! {problem}"] if problem else [])
 
 
 def _record(report: ExerciseReport) -> dict[str, object]:
@@ -63,7 +82,11 @@ def _record(report: ExerciseReport) -> dict[str, object]:
 
 
 def _print_reports(
-    folder: Path, reports: list[ExerciseReport], states: list[str], step: int
+    folder: Path,
+    reports: list[ExerciseReport],
+    states: list[str],
+    step: int,
+    quiz: list[str],
 ) -> None:
     lab = load_checks(folder)
     rows = []
@@ -84,6 +107,8 @@ def _print_reports(
             print(*(f"    {words}" for words in outcome_lines(outcome, step)), sep="\n")
         for problem in report.problems if state != "not written" else ():
             print(f"! {problem}")
+    for line in quiz:
+        print(to_printable(line))
     counts = f"{states.count('passed')} of {len(states)} exercises pass their public checks"
     print(f"{counts}, {states.count('not written')} not started")
     if set(states) == {"passed"}:

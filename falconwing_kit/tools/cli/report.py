@@ -77,11 +77,13 @@ class Report:
         )
         from falconwing_kit.tools.grading.course.items import item_statistics
         from falconwing_kit.tools.grading.find import lab_folder, load_checks
+        from falconwing_kit.tools.grading.quiz import SOURCE
         from falconwing_kit.tools.grading.records import (
             last_records,
             read_grade_records,
             require_run,
         )
+        from falconwing_kit.tools.grading.rules import read_rules
 
         require_range("--workers", self.workers, low=1, high=256)
         folder = lab_folder(self.lab, self.labs).resolve()
@@ -93,7 +95,8 @@ class Report:
                 f"{self.grades}: expected at least one record, found none; grade first"
             )
         points = read_rubric(self.rubric, lab, records) if self.rubric else {}
-        entries = make_entries(lab, records, points)
+        quiz = read_rules(self.course).quiz_points if (folder / SOURCE).is_file() else 0.0
+        entries = make_entries(lab, records, points, quiz)
         self.out.mkdir(parents=True, exist_ok=True)
         inspections, notes = self._inspect(folder, entries) if self.submissions else ({}, [])
         write_gradebook(self.out / "gradebook.csv", lab, entries)

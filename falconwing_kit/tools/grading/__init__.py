@@ -14,7 +14,7 @@ from falconwing_kit.tools.grading.lab import (
     is_same_answer,
 )
 from falconwing_kit.tools.grading.mine import load_parts
-from falconwing_kit.tools.grading.public_checks import check
+from falconwing_kit.tools.grading.public_checks import check, check_quiz
 
 __all__ = [
     "Check",
@@ -27,6 +27,7 @@ __all__ = [
     "Trials",
     "Values",
     "check",
+    "check_quiz",
     "is_close",
     "is_same_answer",
     "load_parts",

@@ -42,7 +42,7 @@ class SubmittedCell:
     Attributes:
         code: whether it is a code cell; otherwise it is text.
         text: its source.
-        role: "exercise", "check", "figure" or "answer"; else empty. Not trusted.
+        role: "exercise", "check", "figure", "answer" or "quiz"; else empty. Not trusted.
         name: of the exercise, figure or answer.
     """
 
@@ -272,7 +272,7 @@ def written_statements(notebook: Notebook) -> Iterator[tuple[ast.stmt, str]]:
     """
     for text in notebook.code:
         try:
-            body = _parse(text).body
+            body = parse_cell(text).body
         except (SyntaxError, ValueError, RecursionError, MemoryError):
             continue
         lines = text.split("\n")
@@ -300,7 +300,7 @@ def _read_cell(cell: dict[str, Any]) -> SubmittedCell:
     role = next(
         (
             each
-            for each in ("exercise", "check", "figure", "answer")
+            for each in ("exercise", "check", "figure", "answer", "quiz")
             if isinstance(marks.get(each), str)
         ),
         "",
@@ -321,7 +321,7 @@ def _statements(notebook: Notebook) -> tuple[tuple[_Statement, ...], tuple[str, 
     for number, text in enumerate(notebook.code, 1):
         try:
             statements += [
-                _read_statement(part) for node in _parse(text).body for part in _split(node)
+                _read_statement(part) for node in parse_cell(text).body for part in _split(node)
             ]
         except SyntaxError as error:
             problems.append(f"code cell {number} is not Python: line {error.lineno}")
@@ -335,7 +335,7 @@ def broken_cells(notebook: Notebook) -> list[tuple[str, str]]:
     found = []
     for number, text in enumerate(notebook.code, 1):
         try:
-            _parse(text)
+            parse_cell(text)
         except SyntaxError as error:
             line = " ".join((error.text or "").split())[:80]
             words = f"code cell {number} is not Python: line {error.lineno}, {error.msg}: {line}"
@@ -345,7 +345,7 @@ def broken_cells(notebook: Notebook) -> list[tuple[str, str]]:
     return found
 
 
-def _parse(text: str) -> ast.Module:
+def parse_cell(text: str) -> ast.Module:
     """A cell's syntax tree, without IPython's own lines (`%matplotlib`, `!ls`, `name?`)."""
     try:
         return ast.parse(text)

@@ -38,6 +38,8 @@ from falconwing_kit.tools.grading.lab import (
     course_constants,
     total_points,
 )
+from falconwing_kit.tools.grading.quiz import read_quiz
+from falconwing_kit.tools.grading.quiz_answers import quiz_record
 from falconwing_kit.tools.grading.salt import course_mark
 from falconwing_kit.tools.grading.sandbox.host import (
     SandboxJob,
@@ -165,6 +167,9 @@ def grade_submission(work: GradingTask, assignment: Assignment) -> Record:
         except (JudgeError, RuntimeError, OSError) as error:
             return record | {"problem": f"{exercise.name}: {error}"[:300]}
         record["exercises"][exercise.name] = result
+    questions = read_quiz(assignment.folder, assignment.salt, course.constants)
+    if questions:
+        record["quiz"] = quiz_record(notebook, questions)
     points = math.fsum(each["points"] for each in record["exercises"].values())
     return record | {"status": "graded", "points": round(points, 4)}
 

@@ -229,12 +229,21 @@ def course_constants(lab: Lab, salt: str) -> dict[str, float]:
     Returns:
         One number for each of `lab.constants`, rounded to its decimals.
     """
-    numbers = {}
-    for name, (low, high, decimals) in lab.constants.items():
-        digest = hashlib.sha256(f"{salt}/{lab.name}/{name}".encode()).digest()
-        share = int.from_bytes(digest[:8], "big") / 2.0**64 if salt else 0.5
-        numbers[name] = round(low + share * (high - low), decimals)
-    return numbers
+    course = f"{salt}/{lab.name}" if salt else ""
+    return {name: drawn_number(course, name, *limits) for name, limits in lab.constants.items()}
+
+
+def drawn_number(course: str, name: str, low: float, high: float, decimals: int) -> float:
+    """A course's number of a name, between two limits.
+
+    Args:
+        course: the key and what the name belongs to; empty for the middle.
+        name: of the number.
+        low, high, decimals: limits, and to how many decimals it is rounded.
+    """
+    digest = hashlib.sha256(f"{course}/{name}".encode()).digest()
+    share = int.from_bytes(digest[:8], "big") / 2.0**64 if course else 0.5
+    return round(low + share * (high - low), decimals)
 
 
 def total_points(lab: Lab) -> float:

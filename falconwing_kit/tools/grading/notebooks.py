@@ -1,9 +1,10 @@
 """Notebook builder: a lab's `lab.py` -> the texts of the student's and the solution notebook.
 
 The source is in jupytext's py:percent format: a cell begins with `# %%` and its role:
-`exercise="min_speed"`, `check="min_speed"`, `figure="radius"`, `[markdown] answer="q1"` or
-`tags=["solution"]`. The lines between `# BEGIN SOLUTION` and `# END SOLUTION` of an exercise are
-removed from the student's notebook.
+`exercise="min_speed"`, `check="min_speed"`, `figure="radius"`, `[markdown] answer="q1"`,
+`quiz="quiz"` or `tags=["solution"]`. The lines between `# BEGIN SOLUTION` and `# END SOLUTION` of
+an exercise are removed from the student's notebook. The questions of `quiz.toml` stand before the
+quiz cell.
 """
 
 import json
@@ -16,9 +17,11 @@ from falconwing_kit import __version__
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.grading.collect import KIT_KEY
-from falconwing_kit.tools.grading.find import notebook_path
+from falconwing_kit.tools.grading.find import load_checks, notebook_path
+from falconwing_kit.tools.grading.lab import course_constants
+from falconwing_kit.tools.grading.quiz import SOURCE, answers_line, questions_text, read_quiz
 
-KINDS = ("exercise", "check", "figure", "answer")
+KINDS = ("exercise", "check", "figure", "answer", "quiz")
 YOUR_ANSWER = "*Your answer:*"
 KIT = ".".join(__version__.split(".")[:2])  # the kit's version in a notebook
 _SOLUTION = re.compile(
@@ -27,6 +30,7 @@ _SOLUTION = re.compile(
 )
 # formatter directives, removed from the notebooks
 _FOR_THE_FORMATTER = re.compile(r"[ \t]*# (?:fmt: (?:skip|off|on)|noqa\b.*)$", re.MULTILINE)
+_QUIZ_LINE = re.compile(r"^(quiz) = \{.*?\}$", re.MULTILINE | re.DOTALL)
 _MARKER = re.compile(r"^[ \t]*# (?:BEGIN|END) SOLUTION[ \t]*(?:\n|\Z)", re.MULTILINE)
 _GO_TO_THE_LAB = """\
 # Jupyter starts in this notebook's folder; what the lab needs lies one folder up.
@@ -131,11 +135,12 @@ def _cell(source: Path, cell: Any) -> SourceCell:
     )
 
 
-def build(folder: Path) -> dict[Path, str]:
+def build(folder: Path, key: str = "") -> dict[Path, str]:
     """Texts of both notebooks of a lab, without outputs.
 
     Args:
         folder: the lab's, with `lab.py` in it.
+        key: of the course, which draws the numbers of the quiz; empty for the open course.
 
     Returns:
         The text of each notebook by its path; deterministic.
@@ -143,15 +148,37 @@ def build(folder: Path) -> dict[Path, str]:
     Raises:
         FileNotFoundError, InputError: as `read_cells`.
     """
-    cells = _with_version(read_cells(folder / "lab.py"))
+    plain = _with_version(read_cells(folder / "lab.py"))
+    cells, solved = _with_quiz(folder, plain, key)
     student = [(cell, cell.for_student()) for cell in cells if not cell.solution_only]
-    solution = [(cell, cell.for_solution()) for cell in cells]
+    solution = [(cell, cell.for_solution()) for cell in solved]
     start = SourceCell(_GO_TO_THE_LAB, solution_only=True)
     solution.insert(1, (start, start.text))  # below the title
     return {
         notebook_path(folder): notebook_text(_with_files_beside(folder, student)),
         notebook_path(folder, solution=True): notebook_text(solution),
     }
+
+
+def _with_quiz(
+    folder: Path, cells: list[SourceCell], key: str
+) -> tuple[list[SourceCell], list[SourceCell]]:
+    """The cells with the quiz's questions and its open answers; and with the right answers."""
+    place = next((i for i, cell in enumerate(cells) if cell.kind == "quiz"), None)
+    if place is None:
+        if (folder / SOURCE).is_file():
+            raise InputError(f'{folder / "lab.py"}: expected a cell quiz="quiz", found none')
+        return cells, cells
+    questions = read_quiz(folder, key, course_constants(load_checks(folder), key))
+    if not questions or not _QUIZ_LINE.search(cells[place].text):
+        raise InputError(f"{folder}: expected {SOURCE}, and quiz = {{...}} in the quiz cell")
+    text = SourceCell(questions_text(questions), markdown=True)
+    both = []
+    for solved in (False, True):
+        before, _, after = _QUIZ_LINE.split(cells[place].text, maxsplit=1)
+        words = f"{before}{answers_line(questions, solved=solved)}{after}"
+        both.append([*cells[:place], text, replace(cells[place], text=words), *cells[place + 1 :]])
+    return both[0], both[1]
 
 
 def _with_version(cells: list[SourceCell]) -> list[SourceCell]:

@@ -26,7 +26,9 @@ import numpy as np
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading.collect import (
+    Notebook,
     Source,
+    SubmittedCell,
     broken_cells,
     collect_source,
     read_notebook,
@@ -44,6 +46,12 @@ from falconwing_kit.tools.grading.hints import (
     raised,
 )
 from falconwing_kit.tools.grading.lab import Check, Exercise, Function, Lab
+from falconwing_kit.tools.grading.quiz_answers import (
+    mark_answers,
+    quiz_here,
+    quiz_lines,
+    read_answers,
+)
 from falconwing_kit.tools.grading.sandbox.host import (
     SandboxJob,
     StudentError,
@@ -273,6 +281,30 @@ def check(function: Function, step: int = 1) -> None:
     except Exception as error:  # a check must not stop a notebook, whatever the student changed
         lines = [f"this could not be checked: {error}"]
     print("\n".join(map(to_printable, lines)))
+
+
+def check_quiz(quiz: Mapping[int, Any]) -> None:
+    """Print which answers of the quiz can be read, and in the open course which are right.
+
+    Args:
+        quiz: the dictionary of the quiz cell; what counts is the text of the cell, as for grading.
+    """
+    try:
+        questions, known = quiz_here(_lab_here()[0])
+        text = _cell_text() or f"quiz = {dict(quiz)!r}"
+        answers, problem = read_answers(Notebook((SubmittedCell(True, text, "quiz", "quiz"),)))
+        lines = quiz_lines(questions, mark_answers(questions, answers, known=known), known)
+        lines += [f"   ! {problem}"] if problem else []
+    except Exception as error:  # as in `check`
+        lines = [f"the quiz could not be checked: {error}"]
+    print("\n".join(map(to_printable, lines)))
+
+
+def _cell_text() -> str:
+    """The text of the notebook cell that is running; empty outside of a notebook."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    text = str((getattr(shell, "user_ns", {}).get("In") or [""])[-1])
+    return text if re.search(r"^quiz\b", text, re.MULTILINE) else ""
 
 
 def report_lines(

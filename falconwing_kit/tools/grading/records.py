@@ -144,12 +144,15 @@ def write_points_table(out: Path, exercises: Sequence[str], records: Iterable[Re
     Returns:
         Its path.
     """
+    records = list(records)
+    quiz = ["quiz"] if any("quiz" in record for record in records) else []
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(["student", *exercises, "points", "of", "status", "note", "sandboxed"])
+    writer.writerow(["student", *exercises, *quiz, "points", "of", "status", "note", "sandboxed"])
     for student, record in last_records(records).items():
         done = record["exercises"]
         points = [done[name]["points"] if name in done else "" for name in exercises]
+        points += [record["quiz"]["right"] if "quiz" in record else ""] if quiz else []
         ends = ("points", "of", "status", "problem", "sandboxed")
         writer.writerow(
             [

@@ -1,7 +1,8 @@
 """Release: labs and a roster -> a folder for students, without solutions or hidden cases.
 
 OUT/README.md                       the route
-OUT/lab01_sizing/                   notebook, given.py, checks.py, cohort.json, hints.json, data/
+OUT/lab01_sizing/                   notebook, given.py, checks.py, cohort.json, hints.json,
+                                    quiz.json, data/
 OUT/handouts/STUDENT/lab12_gap/     individual files of each student, for labs that have them
 """
 
@@ -19,6 +20,7 @@ from falconwing_kit.tools.grading.hints import FILE as HINTS
 from falconwing_kit.tools.grading.hints_library import hints_text
 from falconwing_kit.tools.grading.lab import Course, course_constants
 from falconwing_kit.tools.grading.notebooks import build
+from falconwing_kit.tools.grading.quiz import FORM, form_text, read_quiz
 from falconwing_kit.tools.grading.records import safe_file_name
 from falconwing_kit.tools.grading.salt import MIN_SALT, course_mark
 
@@ -88,7 +90,7 @@ def route_for_students(readme: Path) -> str:
 def _release_lab(folder: Path, target: Path, salt: str) -> None:
     """Notebook, files, data and constants of one lab."""
     target.mkdir(parents=True)
-    notebook = json.loads(build(folder)[notebook_path(folder)])
+    notebook = json.loads(build(folder, salt)[notebook_path(folder)])
     notebook["metadata"] |= {COURSE_KEY: course_mark(salt)} if salt else {}
     text = json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
     _write(target / notebook_path(folder).name, text)
@@ -102,6 +104,9 @@ def _release_lab(folder: Path, target: Path, salt: str) -> None:
             folder / FOLDER, target / FOLDER, ignore=shutil.ignore_patterns("__pycache__", ".*")
         )
     _write(target / "cohort.json", cohort_text(folder, salt))
+    questions = read_quiz(folder, salt, course_constants(load_checks(folder), salt))
+    if questions:
+        _write(target / FORM, form_text(questions))
     shipped = folder / HINTS
     if salt:
         hints = hints_text(folder, salt)

@@ -3,6 +3,7 @@
 late_days = 3             # free ones of each student over the course
 late_percent = 10         # of a lab's points, for each further day
 drop_lowest = 2           # labs that do not count
+quiz_points = 5           # of each lab's quiz, on top of its 100; 0 unless given
 
 [labs.lab03]
 deadline = 2027-10-08T23:59:00+02:00
@@ -22,7 +23,7 @@ from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.files import read_text
 
 RULES_FILE = "course.toml"
-_KEYS = {"late_days", "late_percent", "drop_lowest", "labs"}
+_KEYS = {"late_days", "late_percent", "drop_lowest", "quiz_points", "labs"}
 _LAB_KEYS = {"deadline", "weight", "canvas"}
 
 
@@ -50,12 +51,14 @@ class CourseRules:
         late_percent: of a lab's points, lost for each further day.
         drop_lowest: number of labs that do not count.
         labs: by name, "lab03".
+        quiz_points: of a lab's quiz, beyond its other points.
     """
 
     late_days: int = 0
     late_percent: float = 0.0
     drop_lowest: int = 0
     labs: Mapping[str, LabRules] = field(default_factory=dict)
+    quiz_points: float = 0.0
 
     def lab(self, name: str) -> LabRules:
         """Rules of a lab; the usual ones for a lab that is not named."""
@@ -87,6 +90,7 @@ def read_rules(folder: Path | None) -> CourseRules:
         float(content.get("late_percent", 0.0)),
         int(content.get("drop_lowest", 0)),
         found,
+        float(content.get("quiz_points", 0.0)),
     )
 
 

@@ -55,6 +55,9 @@ def selftest(folder: Path, *, sandboxed: bool = True) -> SelfTest:
     problems += [
         problem for result in solution["exercises"].values() for problem in result["problems"]
     ]
+    quizzes = [record.get("quiz", {"right": 0, "of": 0}) for record in (solution, untouched)]
+    if quizzes[0]["right"] != quizzes[0]["of"] or quizzes[1]["right"]:
+        problems.append(f"quiz: {quizzes[0]['right']} of {quizzes[0]['of']} right in the solution")
     problems += [
         f"{name} fails: {what} in {count} of {result['cases']} cases"
         for name, result in solution["exercises"].items()

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from falconwing_kit.core.files import atomic_write
+from falconwing_kit.tools.reports.mathematics import mathematics
 
 # Colours that read well in grey too.
 MEASURED, PREDICTED, ACCENT, QUIET = "#8c8c8c", "#0b5394", "#c1440e", "#444444"
@@ -66,8 +67,8 @@ def write_page(path: Path, template: Path, **values: Any) -> None:
 
 @cache
 def _environment(folder: Path) -> Any:
-    """Templates of a folder and of this one, with three filters: a number by a format, a PNG as a
-    `data:` address, the width that it was drawn at.
+    """Templates of a folder and of this one, with four filters: a number by a format, a PNG as a
+    `data:` address, the width that it was drawn at, a text with its formulas drawn.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -79,7 +80,12 @@ def _environment(folder: Path) -> Any:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"number": format, "embedded": _embedded, "drawn_width": _drawn_width}
+    environment.filters |= {
+        "number": format,
+        "embedded": _embedded,
+        "drawn_width": _drawn_width,
+        "mathematics": mathematics,
+    }
     return environment
 
 

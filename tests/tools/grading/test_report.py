@@ -267,3 +267,47 @@ def test_points_typed_in_the_browser_reach_the_gradebook(report, graded, tmp_pat
     page = feedback(tmp_path / "r", "ada")
     assert "95.5 of 100 points" in page and '=well, "done"' in html.unescape(page)
     assert [row["student"] for row in rows(tmp_path / "r" / "platform.csv")] == ["'=dan", "ada"]
+
+
+def test_an_item_is_clicked_for_students_and_changed_for_all_who_have_it(report, graded, tmp_path):
+    """In headless Chromium. By hand: 25 - 4 = 21, later 25 - 6.5 = 18.5; typed 20 stays 20.
+
+    The saved file gives the items back to the page and to the students.
+    """
+    with headless_chromium() as browser:
+        page = browser.new_page()
+        page.set_default_timeout(120_000)
+        page.goto((report / "rubric.html").as_uri())
+        page.click("text=add an item to figure")
+        page.get_by_label("figure, item 3: text").fill("no unit on $x$, =1+1")
+        page.get_by_label("figure, item 3: points").fill("-4")
+        value = {
+            who: page.get_by_label(f"{who}: figure, 0 to 25") for who in ("ada", "cleo", "=dan")
+        }
+        for who in value:
+            page.locator(
+                f'section[data-student="{who}"], section[data-student="\'{who}"]'
+            ).get_by_label("no unit on $x$, =1+1, -4").check()
+        assert {who: each.input_value() for who, each in value.items()} == dict.fromkeys(
+            value, "21"
+        )
+        value["cleo"].fill("20")
+        page.get_by_label("figure, item 3: points").fill("-6.5")
+        found = {who: each.input_value() for who, each in value.items()}
+        assert found == {"ada": "18.5", "cleo": "20", "=dan": "18.5"}
+        assert "4 of 4" not in page.inner_text("#count")
+        with page.expect_download() as saving:
+            page.click("#save")
+        saving.value.save_as(tmp_path / "points.csv")
+        words = dict(rubric=tmp_path / "points.csv", submissions=(graded / "students",))
+        words |= dict(figures="stored")
+        assert Report(str(toys.LAB), graded / "grades", tmp_path / "r", **words).run() == 0
+        again = browser.new_page()
+        again.goto((tmp_path / "r" / "rubric.html").as_uri())
+        assert again.get_by_label("figure, item 1: points").input_value() == "-6.5"
+        again.get_by_label("figure, item 1: points").fill("-5")
+        assert again.get_by_label("ada: figure, 0 to 25").input_value() == "20"
+    final = {row["student"]: row["figure"] for row in rows(tmp_path / "r" / "gradebook.csv")}
+    assert final == {"ada": "18.5", "'=dan": "18.5", "bob img": "", "cleo": "20.0"}
+    page = feedback(tmp_path / "r", "ada")
+    assert "no unit on <math" in page and "(-6.5)" in page

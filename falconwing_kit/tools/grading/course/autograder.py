@@ -24,12 +24,14 @@ from falconwing_kit.tools.grading.course.gradebook import (
 )
 from falconwing_kit.tools.grading.find import load_checks
 from falconwing_kit.tools.grading.judge import Assignment, GradingTask, grade_submission
+from falconwing_kit.tools.grading.quiz import SOURCE
 from falconwing_kit.tools.grading.roster import ROSTER_FILE, Matcher, read_roster
+from falconwing_kit.tools.grading.rules import read_rules
 from falconwing_kit.tools.grading.sandbox.probe import open_holes, probe_sandbox
 from falconwing_kit.tools.grading.submissions import find_one
 
 SETTINGS, KEY = "settings.json", "key.txt"
-_LAB_FILES = ("given.py", "checks.py", "hidden.py", "cohort.json")
+_LAB_FILES = ("given.py", "checks.py", "hidden.py", "cohort.json", "quiz.toml")
 _SETUP = """#!/usr/bin/env bash
 set -euo pipefail
 apt-get update -qq
@@ -59,11 +61,16 @@ def write_autograder(
         course: its folder, for the roster; None for none.
         sandboxed: refuse to grade where the container allows no sandbox.
     """
+    settings = {
+        "lab": folder.name,
+        "sandboxed": sandboxed,
+        "quiz_points": read_rules(course).quiz_points if (folder / SOURCE).is_file() else 0.0,
+    }
     texts = {
         "setup.sh": _SETUP,
         "run_autograder": _RUN,
         "requirements.txt": "\n".join([*_REQUIREMENTS, *_torch(folder)]) + "\n",
-        SETTINGS: json.dumps({"lab": folder.name, "sandboxed": sandboxed}) + "\n",
+        SETTINGS: json.dumps(settings) + "\n",
         KEY: key,
     }
     if course is not None and (course / ROSTER_FILE).exists():
@@ -126,7 +133,7 @@ def grade_in_container(root: Path) -> int:
     if record["status"] == "error":
         print(f"{student}: {record['problem']}", file=sys.stderr)
         return 1
-    entry = GradebookEntry(lab, student, record, ManualGrade())
+    entry = GradebookEntry(lab, student, record, ManualGrade(), settings["quiz_points"])
     said = {name: result_text(each) for name, each in record["exercises"].items()}
     (root / "results").mkdir(exist_ok=True)
     with atomic_write(root / "results" / "results.json", text=True) as handle:

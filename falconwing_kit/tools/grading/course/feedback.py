@@ -11,6 +11,7 @@ from typing import Any
 
 from falconwing_kit.tools.grading.course.gradebook import GradebookEntry
 from falconwing_kit.tools.grading.public_checks import SYMBOLS
+from falconwing_kit.tools.grading.quiz_answers import SYMBOLS as QUIZ_SYMBOLS
 from falconwing_kit.tools.reports.page import write_page
 
 PAGE = Path(__file__).with_name("feedback.html.j2")
@@ -78,6 +79,7 @@ def write_feedback(
         for each in lab.exercises
         if each.name in done and done[each.name]["right"] < done[each.name]["cases"]
     ]
+    quiz = record.get("quiz", {"questions": {}, "problem": ""})
     given = entry.person.points
     by_person = [
         (each.name, f"{given[each.name]:g}", f"{each.points:g}")
@@ -94,17 +96,35 @@ def write_feedback(
         functions=functions,
         lost=lost,
         symbols=SYMBOLS,
+        quiz=[(number, *marked) for number, marked in quiz["questions"].items()],
+        quiz_problem=quiz["problem"],
+        quiz_summary=_quiz_summary(entry),
+        quiz_symbols=QUIZ_SYMBOLS,
         by_person=by_person,
         comment=entry.person.comment,
+        items=[
+            (item.criterion, item.text, f"{item.points:+g}")
+            for item in entry.person.items
+            if item.criterion in given
+        ],
     )
+
+
+def _quiz_summary(entry: GradebookEntry) -> str:
+    marked = entry.record.get("quiz")
+    if marked is None:
+        return ""
+    worth = f"{entry.quiz:g} of {entry.quiz_points:g} points" if entry.quiz_points else "no points"
+    return f"Quiz: {marked['right']} of {marked['of']} right, {worth}"
 
 
 def _summary(entry: GradebookEntry) -> str:
     if entry.machine is None:
         return f"{entry.student}: not graded yet because of an error; ask your instructor."
     if entry.total is None:
+        quiz = f" and {entry.quiz:g} for the quiz" if entry.quiz_points and entry.quiz else ""
         return (
-            f"{entry.student}: {entry.machine:g} points for the functions; "
+            f"{entry.student}: {entry.machine:g} points for the functions{quiz}; "
             "a person's points are still to come."
         )
     return f"{entry.student}: {entry.total:g} of {entry.of:g} points."

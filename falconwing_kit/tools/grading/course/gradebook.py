@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.files import atomic_write
@@ -22,7 +22,16 @@ from falconwing_kit.tools.grading.records import (
     spreadsheet_cell,
 )
 
-COMMENT = "comment"  # column of the rubric file for the student
+COMMENT, ITEMS = "comment", "items"  # columns of the rubric file: for the student, what was clicked
+MAX_ITEMS = 50  # of a student
+
+
+class RubricItem(NamedTuple):
+    """A reason for points of any number of students: criterion, text, points (negative: lost)."""
+
+    criterion: str
+    text: str
+    points: float
 
 
 @dataclass(frozen=True)
@@ -32,10 +41,12 @@ class ManualGrade:
     Attributes:
         points: by criterion; ungraded ones are missing.
         comment: for the student.
+        items: that the points were clicked together from.
     """
 
     points: Mapping[str, float] = field(default_factory=dict)
     comment: str = ""
+    items: tuple[RubricItem, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -46,12 +57,22 @@ class GradebookEntry:
         student: name.
         record: the student's last one.
         person: manual points.
+        quiz_points: what the quiz is worth in this course; 0 if it does not count.
     """
 
     lab: Lab
     student: str
     record: Mapping[str, Any]
     person: ManualGrade
+    quiz_points: float = 0.0
+
+    @property
+    def quiz(self) -> float | None:
+        """Points of the quiz; None where it was not marked."""
+        if self.record["status"] in ("unreadable", "wrong lab"):
+            return 0.0
+        marked = self.record.get("quiz")
+        return None if marked is None else self.quiz_points * marked["right"] / marked["of"]
 
     @property
     def machine(self) -> float | None:
@@ -65,6 +86,7 @@ class GradebookEntry:
         if self.record["status"] == "missing":
             return 0.0
         given = [self.person.points.get(each.name) for each in self.lab.rubric]
+        given += [self.quiz] if self.quiz_points else []
         if self.machine is None or None in given:
             return None
         return round(math.fsum([self.machine, *(each for each in given if each is not None)]), 4)
@@ -72,7 +94,9 @@ class GradebookEntry:
     @property
     def of(self) -> float:
         """Maximum points."""
-        return total_points(self.lab) + math.fsum(each.points for each in self.lab.rubric)
+        return math.fsum(
+            [total_points(self.lab), self.quiz_points, *(each.points for each in self.lab.rubric)]
+        )
 
     @property
     def file_name(self) -> str:
@@ -81,11 +105,14 @@ class GradebookEntry:
 
 
 def make_entries(
-    lab: Lab, records: Mapping[str, Mapping[str, Any]], rubric: Mapping[str, ManualGrade]
+    lab: Lab,
+    records: Mapping[str, Mapping[str, Any]],
+    rubric: Mapping[str, ManualGrade],
+    quiz_points: float = 0.0,
 ) -> list[GradebookEntry]:
     """An entry for each student with a record, by name."""
     return [
-        GradebookEntry(lab, name, records[name], rubric.get(name, ManualGrade()))
+        GradebookEntry(lab, name, records[name], rubric.get(name, ManualGrade()), quiz_points)
         for name in sorted(records)
     ]
 
@@ -95,7 +122,7 @@ def read_rubric(path: Path, lab: Lab, students: Iterable[str]) -> dict[str, Manu
 
     Args:
         path: a CSV file with the columns `student`, the names of the lab's criteria, and `comment`;
-            empty cells are not graded yet, criteria may be missing.
+            empty cells are not graded yet, criteria and the page's `items` may be missing.
         students: with a record.
 
     Raises:
@@ -106,7 +133,7 @@ def read_rubric(path: Path, lab: Lab, students: Iterable[str]) -> dict[str, Manu
     known = {str(spreadsheet_cell(name)): name for name in students}
     known |= {name: name for name in known.values()}
     names = [each.name for each in lab.rubric]
-    unknown = sorted(set(columns) - {"student", COMMENT, *names})
+    unknown = sorted(set(columns) - {"student", COMMENT, ITEMS, *names})
     if "student" not in columns or unknown:
         expected = ", ".join(["student", *names, COMMENT])
         raise InputError(
@@ -129,9 +156,27 @@ def read_rubric(path: Path, lab: Lab, students: Iterable[str]) -> dict[str, Manu
         }
         comment = row.get(COMMENT, "")
         found[student] = ManualGrade(
-            points, comment[1:] if spreadsheet_cell(comment[1:]) == comment else comment
+            points,
+            comment[1:] if spreadsheet_cell(comment[1:]) == comment else comment,
+            _items(where, row.get(ITEMS, ""), names),
         )
     return found
+
+
+def _items(where: str, text: str, criteria: Sequence[str]) -> tuple[RubricItem, ...]:
+    """Items of the page's column, which is JSON: a list of criterion, text, points."""
+    try:
+        found = [
+            RubricItem(str(name), str(words)[:200], float(points))
+            for name, words, points in json.loads(text or "[]")
+        ]
+    except (ValueError, TypeError):
+        found = [RubricItem("", "", math.nan)]
+    if len(found) > MAX_ITEMS or not all(
+        item.criterion in criteria and math.isfinite(item.points) for item in found
+    ):
+        raise InputError(f"{where}: expected {ITEMS} as the rubric page saves them, or nothing")
+    return tuple(found)
 
 
 def _points(where: str, name: str, text: str, most: float) -> float:
@@ -147,10 +192,12 @@ def _points(where: str, name: str, text: str, most: float) -> float:
 def write_gradebook(path: Path, lab: Lab, entries: Sequence[GradebookEntry]) -> None:
     """Write the full gradebook as CSV: points of exercises and criteria, and final totals."""
     exercises, criteria = [each.name for each in lab.exercises], [each.name for each in lab.rubric]
+    quiz = any("quiz" in entry.record for entry in entries)
     head = [
         "student",
         *exercises,
         "machine",
+        *(["quiz right"] if quiz else []),
         *criteria,
         "total",
         "of",
@@ -176,7 +223,8 @@ def write_gradebook(path: Path, lab: Lab, entries: Sequence[GradebookEntry]) -> 
             record["sandboxed"],
             entry.person.comment,
         ]
-        rows.append([entry.student, *machine, entry.machine, *person, *ends])
+        right = [record["quiz"]["right"] if "quiz" in record else None] if quiz else []
+        rows.append([entry.student, *machine, entry.machine, *right, *person, *ends])
     write_csv(path, head, rows)
 
 
@@ -213,6 +261,10 @@ def gradescope_results(entry: GradebookEntry, said: Mapping[str, str]) -> dict[s
         tests.append(
             _test(exercise.name, done["points"], exercise.points, said.get(exercise.name, ""))
         )
+    if entry.quiz_points and entry.quiz is not None:
+        marked = entry.record.get("quiz", {"right": 0, "of": 0})
+        words = f"{marked['right']} of {marked['of']} questions right"
+        tests.append(_test("quiz", round(entry.quiz, 4), entry.quiz_points, words))
     for each in entry.lab.rubric:
         if each.name in entry.person.points:
             tests.append(

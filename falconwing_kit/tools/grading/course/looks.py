@@ -105,8 +105,9 @@ def rubric_parts(folder: Path) -> list[RubricPart]:
         if cell.role in ("figure", "answer"):
             before = cells[number - 1].text if number and cell.role == "answer" else ""
             question = before[before.rfind("**Question") :] if "**Question" in before else before
+            question = "\n".join(line for line in question.split("\n") if not line.startswith("#"))
             parts[cell.name] = RubricPart(
-                cell.name, cell.role == "figure", question.replace("**", "")
+                cell.name, cell.role == "figure", question.replace("**", "").strip()
             )
     return [
         parts.get(each.name, RubricPart(each.name, True, "")) for each in load_checks(folder).rubric

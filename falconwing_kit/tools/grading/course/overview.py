@@ -10,6 +10,7 @@ from falconwing_kit.tools.grading.course.items import ItemStatistics
 from falconwing_kit.tools.grading.course.similar import Similarity
 from falconwing_kit.tools.grading.judge import STATES, record_state
 from falconwing_kit.tools.grading.lab import Lab
+from falconwing_kit.tools.grading.quiz_answers import OPEN, RIGHT, UNUSABLE, WRONG
 from falconwing_kit.tools.reports.page import write_page
 
 PAGE = Path(__file__).with_name("overview.html.j2")
@@ -38,12 +39,14 @@ def write_overview(
     states = Counter(record_state(entry.record) for entry in entries)
     counts = " + ".join(f"{states[state]} {state}" for state in STATES if states[state])
     lead = f"{len(entries)} students = {counts}{mean}; {len(done)} with manual points too."
+    quizzes = [entry.record["quiz"]["questions"] for entry in entries if "quiz" in entry.record]
     write_page(
         path,
         PAGE,
         lab=lab,
         lead=lead,
         items=[_row(each) for each in items],
+        quiz=_quiz_rows(quizzes),
         pairs=pairs,
         sources=sources,
         shown=SHOWN,
@@ -61,6 +64,19 @@ def write_overview(
 def _row(each: ItemStatistics) -> tuple[str, ...]:
     shares = map(_percent, (each.mean, each.full, each.untouched))
     return each.name, *shares, _number(each.discrimination), each.commonest
+
+
+def _quiz_rows(quizzes: Sequence[Mapping[str, Sequence[str]]]) -> list[tuple[str, ...]]:
+    """For each question the shares of right, wrong and open answers, and the commonest mistake."""
+    rows = []
+    for number in quizzes[0] if quizzes else ():
+        marks = [each[number] for each in quizzes if number in each]
+        states = Counter(state for state, _ in marks)
+        wrong = Counter(said for state, said in marks if state in (WRONG, UNUSABLE) and said)
+        shares = [states[RIGHT], states[WRONG] + states[UNUSABLE], states[OPEN]]
+        commonest = f"{wrong.most_common(1)[0][0]} ({wrong.most_common(1)[0][1]})" if wrong else ""
+        rows.append((number, *(_percent(share / len(marks)) for share in shares), commonest))
+    return rows
 
 
 def _percent(share: float) -> str:

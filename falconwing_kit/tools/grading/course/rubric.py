@@ -1,7 +1,9 @@
 """Rubric page: figures and answers -> one page with fields for a person's points.
 
-The page needs no server: the browser stores the points, and a button saves points.csv, which
-`falconwing report --rubric points.csv` merges into the gradebook. Students' texts are escaped.
+Points are typed, or clicked together from rubric items ("no units, -1"). An item that is changed
+later changes the points of every student who has it. The page needs no server: the browser stores
+the points, and a button saves points.csv, which `falconwing report --rubric points.csv` merges into
+the gradebook. Students' texts are escaped.
 """
 
 import base64
@@ -10,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from falconwing_kit.core.files import atomic_write
-from falconwing_kit.tools.grading.course.gradebook import COMMENT, GradebookEntry
+from falconwing_kit.tools.grading.course.gradebook import COMMENT, ITEMS, GradebookEntry, RubricItem
 from falconwing_kit.tools.grading.course.looks import RubricPart
 from falconwing_kit.tools.grading.lab import Lab
 from falconwing_kit.tools.grading.records import spreadsheet_cell
@@ -55,6 +57,14 @@ def write_rubric(
         lab=lab,
         comment=COMMENT,
         names=[each.name for each in lab.rubric],
+        most={each.name: each.points for each in lab.rubric},
+        items=rubric_items(lab, entries),
+        items_column=ITEMS,
+        given={
+            str(spreadsheet_cell(entry.student)): [list(each) for each in entry.person.items]
+            for entry in entries
+            if entry.person.items
+        },
         key=f"falconwing rubric {lab.name} {out.resolve().name}",
         criteria=list(zip(lab.rubric, parts, strict=True)),
         students=[
@@ -64,6 +74,19 @@ def write_rubric(
         ],
     )
     return page
+
+
+def rubric_items(lab: Lab, entries: Sequence[GradebookEntry]) -> list[RubricItem]:
+    """The items that were used already, by criterion; where there are none, all and half of it."""
+    used = dict.fromkeys(item for entry in entries for item in entry.person.items)
+    known = {item.criterion for item in used}
+    first = [
+        RubricItem(each.name, text, share * each.points)
+        for each in lab.rubric
+        if each.name not in known
+        for text, share in (("all of it", 1.0), ("half of it", 0.5))
+    ]
+    return [*used, *first]
 
 
 def _student(
