@@ -317,18 +317,18 @@ class Pilot:
 class Board:
     """SIMULATED: from the pilot to the servos by your lab 10, with a bad contact.
 
-    A command becomes the edges of PPM frames, the edges become slots again, and the safety machine
-    decides whether they count. The pilot's sticks are near the command at first, so that it
-    engages.
+    A command becomes the edges of PPM frames and slots again, as the radio understands it, then
+    bytes on the serial line. Your `TrainerBridge` reads them and decides what goes to the radio:
+    two frames a step. The pilot's sticks are near the command at first, so that it engages.
 
     Args:
         parts: yours or the kit's.
         to_sticks: your `sticks_from_slots`.
-        lost: share of the steps in which no frame arrives.
+        lost: share of the steps in which a bit of the command is flipped.
         seed: of the bad contact.
 
     Attributes:
-        states: of the safety machine after each step.
+        states: of the board after each step.
     """
 
     def __init__(
@@ -336,27 +336,42 @@ class Board:
     ) -> None:
         self.parts, self.to_sticks, self.lost = parts, to_sticks, lost
         self.lab10, self._rng = lab_given(parts, "lab10"), np.random.default_rng(seed)
-        self._memory, self.states = self.lab10.switched_on(), []
+        self._bridge, self.states = parts.bridge.TrainerBridge(), []
+        self._t_ms, self._sequence = 0.0, 0
+        self._bridge.frame(0.0, None)
 
     def engage(self, command: Array) -> None:
         """Hand over to the host: a pilot holds the sticks where the first command wants them."""
         slots = self._slots(command)
         for engaged in [False] * 5 + [True] * 8:
-            self._memory = self.parts.bridge.failsafe_state(
-                self._memory, 22.0, slots, engaged, slots
-            )
+            self._bridge.frame(self._t_ms, slots)
+            self._send(slots, engaged)
+            self._t_ms += 22.0
 
     def carry(self, command: Array) -> Array | None:
         """What arrives at the servos (4,), or None where nothing does."""
-        slots = None if self._rng.random() < self.lost else self._slots(command)
-        self._memory = self.parts.bridge.failsafe_state(
-            self._memory, 1000.0 * STEP_S, slots, True, None
-        )
-        self.states.append(self._memory["state"])
-        if slots is None or self._memory["state"] != "ACTIVE":
+        self._send(self._slots(command), True, flip=bool(self._rng.random() < self.lost))
+        for part in (0.44, 0.88):
+            slots = self._bridge.frame(self._t_ms + part * 1000.0 * STEP_S, None)
+        self._t_ms += 1000.0 * STEP_S
+        self.states.append(self._bridge.state)
+        if self._bridge.state != "ACTIVE":
             return None
         lab10 = self.lab10
         return np.asarray(self.to_sticks(np.array(slots), "TAER", lab10.CENTRE_US, lab10.REACH_US))
+
+    def _send(self, slots: tuple[float, ...] | None, engage: bool, flip: bool = False) -> None:
+        """A command on the serial line, in two pieces; with a flipped bit the board drops it."""
+        from falconwing_kit.trainer_port import encode_channels
+
+        self._sequence += 1
+        if slots is None:
+            return
+        data = encode_channels(self._sequence, [round(us) for us in slots], engage)
+        if flip:
+            data = data[:5] + bytes([data[5] ^ 4]) + data[6:]
+        self._bridge.receive(data[:9], self._t_ms + 1.0)
+        self._bridge.receive(data[9:], self._t_ms + 2.0)
 
     def _slots(self, command: Array) -> tuple[float, ...] | None:
         """Slots [us] of a command after the wire, or None."""
