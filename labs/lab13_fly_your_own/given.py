@@ -26,7 +26,6 @@ IMAGE_EVERY = 2  # a picture every second step
 STEP_S, STEPS = 0.05, 240  # [s]; a flight ends after 12 s at the latest
 WIDTH, HEIGHT = 160, 120  # of the film [px]
 LENS = {"fx": 99.2, "fy": 99.2, "cx": 80.0, "cy": 60.0}  # [px], first pixel's centre at (0.5, 0.5)
-TILE = 8  # side of the tiles that are rendered one by one [px]
 GAUSSIANS = 10_000  # of the thinned hall
 BACKGROUND = np.array([0.55, 0.56, 0.58])
 BLUR_PX2 = 0.3
@@ -116,20 +115,12 @@ def camera_pose(parts: Any, state: Array) -> Array:
 def new_look(parts: Any, scene: Mapping[str, Array]) -> Callable[[Array], Array]:
     """A function that renders what the nose camera sees: state (9,) -> (H, W, 3) uint8.
 
-    Your lab 2 says where the camera is, your lab 3 draws, tile by tile: a splat enters only the
-    tiles that it can reach.
+    Your lab 2 says where the camera is, your lab 3 projects and draws, with your `render_tiles`.
 
     Args:
         parts: yours or the kit's.
         scene: means (N, 3) [m], covs (N, 3, 3) [m^2], opacities (N,), colours (N, 3).
     """
-    cut = lab_given(parts, "lab03").COHORT["cut_sigma"]
-    v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
-    tiles = [
-        (slice(a, a + TILE), slice(b, b + TILE))
-        for a in range(0, HEIGHT, TILE)
-        for b in range(0, WIDTH, TILE)
-    ]
 
     def look(state: Array) -> Array:
         T = camera_pose(parts, state) @ np.diag([1.0, -1.0, -1.0, 1.0])  # right, up, backwards
@@ -139,28 +130,10 @@ def new_look(parts: Any, scene: Mapping[str, Array]) -> Callable[[Array], Array]
         means, covs = means[seen], T[:3, :3].T @ scene["covs"][seen] @ T[:3, :3]
         means_px, covs_px = parts.renderer.project_gaussians(means, covs, LENS, BLUR_PX2)
         opacities, colours, depths = scene["opacities"][seen], scene["colours"][seen], -means[:, 2]
-        reach = cut * np.sqrt(np.diagonal(covs_px, axis1=1, axis2=2))  # of each splat's box [px]
-        low, high = means_px - reach, means_px + reach
-        image = np.empty((HEIGHT, WIDTH, 3))
-        for rows, columns in tiles:
-            near = np.flatnonzero(
-                (high[:, 0] > columns.start)
-                & (low[:, 0] < columns.stop)
-                & (high[:, 1] > rows.start)
-                & (low[:, 1] < rows.stop)
-            )
-            near = near[np.argsort(depths[near])][:1200]  # what lies behind them is hidden
-            pixels = np.stack([u[rows, columns], v[rows, columns]], axis=-1).reshape(-1, 2)
-            if len(near):
-                alphas = parts.renderer.splat_alphas(
-                    pixels, means_px[near], covs_px[near], opacities[near]
-                )
-                rgb = parts.renderer.alpha_composite(
-                    alphas, colours[near], depths[near], BACKGROUND
-                )[0]
-            else:
-                rgb = np.tile(BACKGROUND, (len(pixels), 1))
-            image[rows, columns] = rgb.reshape(TILE, TILE, 3)
+        shape = (HEIGHT, WIDTH)
+        image = parts.renderer.render_tiles(
+            means_px, covs_px, opacities, colours, depths, shape, BACKGROUND
+        )
         return np.round(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
 
     return look
