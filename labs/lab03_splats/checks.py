@@ -1,6 +1,8 @@
 """Lab 3, public: the exercises, what a right function does, and what a person looks for."""
 
 import math
+import time
+from typing import Any
 
 import numpy as np
 from given import COHORT
@@ -151,14 +153,153 @@ def _surface_depth(composite: Function) -> bool:
     return is_same_answer((rgb, depth), (np.ones((3, 3)), np.array([2.0, 4.0, float("nan")])))
 
 
+GREY = 0.5 / 255.0  # half a grey level
+
+
+def _every_splat_everywhere(
+    means_px: Any, covs_px: Any, opacities: Any, colours: Any, depths: Any, shape: Any, back: Any
+) -> np.ndarray:
+    """The slow way, from the farthest splat to the nearest, each over the whole picture."""
+    height, width = shape
+    v, u = np.mgrid[:height, :width] + 0.5
+    image = np.tile(np.asarray(back, float), (height, width, 1))
+    for i in np.argsort(-np.asarray(depths)):
+        d = np.stack([u - means_px[i, 0], v - means_px[i, 1]], axis=-1)
+        square = np.einsum("hwi,ij,hwj->hw", d, np.linalg.inv(covs_px[i]), d)
+        alpha = np.minimum(0.999, opacities[i] * np.exp(-0.5 * square))
+        alpha = np.where(square <= CUT**2, alpha, 0.0)[..., None]
+        image = alpha * colours[i] + (1.0 - alpha) * image
+    return image
+
+
+def _splats(count: int, shape: tuple[int, int], size: float, seed: int = 3) -> tuple[Any, ...]:
+    """Drawn splats in and around a picture."""
+    rng = np.random.default_rng(seed)
+    roots = size * (rng.normal(0.0, 0.5, (count, 2, 2)) + np.eye(2))
+    return (
+        rng.uniform(-0.2, 1.2, (count, 2)) * np.array(shape[::-1], float),
+        roots @ roots.transpose(0, 2, 1) + 0.3 * np.eye(2),
+        rng.uniform(0.2, 1.0, count),
+        rng.uniform(0.0, 1.0, (count, 3)),
+        rng.permutation(count) + 2.0,
+    )
+
+
+def _one_splat(u: float, v: float, var_u: float, var_v: float) -> tuple[Any, ...]:
+    cov = np.array([[[var_u, 0.0], [0.0, var_v]]])
+    return np.array([[u, v]]), cov, np.array([0.8]), np.array([[1.0, 0.5, 0.0]]), np.array([3.0])
+
+
+def _draws(render: Function, splats: tuple[Any, ...], shape: tuple[int, int]) -> bool:
+    expected = _every_splat_everywhere(*splats, shape, BACK)
+    return is_same_answer(render(*splats, shape, BACK), expected, rtol=0.0, atol=GREY)
+
+
+def _at_the_mean(render: Function) -> bool:
+    """By hand: at its mean, the centre of pixel (7, 20), a splat of 0.8 leaves a fifth of BACK."""
+    image = np.asarray(render(*_one_splat(20.5, 7.5, 2.0, 2.0), (24, 40), BACK))
+    expected = 0.8 * np.array([1.0, 0.5, 0.0]) + 0.2 * BACK
+    return is_same_answer(image[7, 20], expected, atol=1e-6) and is_same_answer(
+        image[0, 0], BACK, atol=1e-6
+    )
+
+
+def _behind_a_wall(render: Function) -> bool:
+    """Forty solid splats before a hundred others: what is behind them does not show, by law."""
+    wall = [np.repeat(each, 40, axis=0) for each in _one_splat(20.0, 12.0, 900.0, 900.0)]
+    others = _splats(100, (24, 40), 3.0)
+    mixed = [np.concatenate([a, b]) for a, b in zip(others, wall, strict=True)]
+    mixed[4] = np.concatenate([others[4] + 50.0, np.linspace(1.0, 2.0, 40)])
+    return _draws(render, tuple(mixed), (24, 40))
+
+
+def _light_that_is_left(render: Function) -> bool:
+    """Large splats: light is used up in some pixels of a tile and not in others."""
+    shape = (30, 44)
+    half = [each.copy() for each in _splats(120, shape, 6.0, seed=8)]
+    half[2] = np.where(half[0][:, 0] < 20.0, 0.97, 0.04)
+    return _draws(render, tuple(half), shape) and _draws(render, _splats(80, shape, 9.0), shape)
+
+
+def _is_faster(render: Function) -> bool:
+    """At most half of the slow way's time on 300 small splats, each the best of three."""
+    shape = (96, 128)
+    splats = _splats(300, shape, 1.5)
+    times = []
+    for draw in (render, _every_splat_everywhere):
+        own = []
+        for _ in range(3):
+            begin = time.perf_counter()
+            draw(*splats, shape, BACK)
+            own.append(time.perf_counter() - begin)
+        times.append(min(own))
+    return times[0] < 0.5 * times[1]
+
+
+TILES = (
+    Check(
+        "nothing to draw: the background everywhere, for any shape",
+        lambda f: all(
+            is_same_answer(
+                f(*(each[:0] for each in _one_splat(1.0, 1.0, 1.0, 1.0)), shape, BACK),
+                np.tile(BACK, (*shape, 1)),
+            )
+            for shape in ((1, 1), (5, 37), (33, 16))
+        ),
+        "a tile without splats is background; H is the first number of shape",
+    ),
+    Check(
+        "a splat is where its mean is, with 0.8 of its colour there",
+        _at_the_mean,
+        "the centre of a pixel is at column + 0.5, row + 0.5; u belongs to columns",
+    ),
+    Check(
+        "a splat over the corner of four tiles is whole",
+        lambda f: (
+            _draws(f, _one_splat(16.0, 16.0, 30.0, 3.0), (40, 40))
+            and _draws(f, _one_splat(8.0, 24.0, 2.0, 40.0), (40, 40))
+        ),
+        "compare boxes: a splat whose mean lies in another tile may reach into this one; u and v "
+        "have their own reach",
+    ),
+    Check(
+        "a splat from outside of the picture reaches into it",
+        lambda f: (
+            _draws(f, _one_splat(-6.0, 10.0, 25.0, 9.0), (20, 30))
+            and _draws(f, _one_splat(12.0, 25.0, 4.0, 25.0), (20, 30))
+        ),
+        "do not drop splats by their means",
+    ),
+    Check(
+        "60 splats in a picture that no tile fits, in the order of their depths",
+        lambda f: _draws(f, _splats(60, (29, 43), 3.0), (29, 43)),
+        "the tiles at the edges are smaller; opacities, colours and covariances are sorted, too",
+    ),
+    Check(
+        "what is behind a wall of solid splats does not show",
+        _behind_a_wall,
+        "stop only where light is used up in the whole tile, and never before it is",
+    ),
+    Check(
+        "many large splats: where light is left, those far behind still show",
+        _light_that_is_left,
+        "go on with the light that is left, and only stop when no pixel of the tile has any",
+    ),
+    Check(
+        "300 small splats take at most half of the slow way's time",
+        _is_faster,
+        "only the splats whose box touches the tile; whole tiles as arrays, no loop over pixels",
+    ),
+)
+
 LAB = Lab(
     name="lab03",
     title="Splat renderer",
-    hours=4.0,
+    hours=5.0,
     exercises=(
         Exercise(
             "cov3d_from_scale_quat",
-            15.0,
+            12.0,
             (
                 Check(
                     "not turned, the variances are 1, 4 and 9 for standard deviations 1, 2 and 3",
@@ -185,7 +326,7 @@ LAB = Lab(
         ),
         Exercise(
             "project_gaussians",
-            20.0,
+            15.0,
             (
                 Check(
                     "at 2 m straight ahead, f / 2 pixels are a metre, and v counts down",
@@ -212,7 +353,7 @@ LAB = Lab(
         ),
         Exercise(
             "splat_alphas",
-            20.0,
+            14.0,
             (
                 Check(
                     "one standard deviation away it is exp(-1/2) of the opacity",
@@ -237,7 +378,7 @@ LAB = Lab(
         ),
         Exercise(
             "alpha_composite",
-            20.0,
+            14.0,
             (
                 Check(
                     "half red before half green leaves a quarter",
@@ -257,6 +398,7 @@ LAB = Lab(
                 ),
             ),
         ),
+        Exercise("render_tiles", 20.0, TILES, seconds=30.0, nearby=False, free=True),
     ),
     rubric=(
         Criterion(

@@ -55,6 +55,24 @@ def pixel_rows() -> Array:
     return np.asarray(np.stack([u, v], axis=-1))
 
 
+def render_rows(splat_alphas: Any, alpha_composite: Any, splats: tuple[Array, ...]) -> Array:
+    """The slow loop: every splat at every pixel, row by row.
+
+    Args:
+        splat_alphas, alpha_composite: your functions.
+        splats: means_px (N, 2), covs_px (N, 2, 2), opacities (N,), colours (N, 3), depths (N,).
+
+    Returns:
+        (H, W, 3).
+    """
+    means_px, covs_px, opacities, colours, depths = splats
+    rows = []
+    for pixels in pixel_rows():
+        alphas = splat_alphas(pixels, means_px, covs_px, opacities)
+        rows.append(alpha_composite(alphas, colours, depths, BACKGROUND)[0])
+    return np.array(rows)
+
+
 def draw_cloud(points_px: Array, mean_px: Array, cov_px: Array) -> None:
     """Draw projected points of one Gaussian, and its splat's ellipse at two standard deviations.
 

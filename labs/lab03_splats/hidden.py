@@ -5,6 +5,7 @@ the back.
 """
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -53,11 +54,31 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
             rgb = alphas[:, [i]] * colours[i] + (1.0 - alphas[:, [i]]) * rgb
         return rgb, np.array([_surface(row, depths, near_first, share) for row in alphas])
 
+    def whole_picture(
+        means_px: Array,
+        covs_px: Array,
+        opacities: Array,
+        colours: Array,
+        depths: Array,
+        shape: tuple[int, int],
+        background: Array,
+    ) -> Array:
+        """Every splat at every pixel, by the references above."""
+        v, u = np.mgrid[: shape[0], : shape[1]] + 0.5
+        pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
+        covered = alphas(pixels, means_px, covs_px, opacities)
+        rgb = composite(covered, colours, depths, background)[0]
+        return rgb.reshape(*shape, 3)
+
     return {
         "cov3d_from_scale_quat": (Values(_draw_shapes, _covariances),),
         "project_gaussians": (Values(_draw_gaussians, _project, rtol=1e-5, atol=1e-6),),
         "splat_alphas": (Values(_draw_splats, alphas),),
         "alpha_composite": (Values(_draw_layers, composite),),
+        "render_tiles": tuple(
+            Values(partial(_draw_picture, kind=kind), whole_picture, 3, rtol=0.0, atol=0.5 / 255.0)
+            for kind in ("few", "large", "many")
+        ),
     }
 
 
@@ -118,6 +139,27 @@ def _project(
     return pixels(means_camera), np.einsum(
         "nai,nij,nbj->nab", J, covs_camera, J
     ) + blur_px2 * np.eye(2)
+
+
+def _draw_picture(rng: np.random.Generator, kind: str) -> tuple[Any, ...]:
+    """Splats in and around a picture of any shape.
+
+    Few slender ones; large solid ones, behind which others hide; many small ones.
+    """
+    height, width = (int(each) for each in rng.integers(9, 45, 2))
+    count = int(rng.integers(4, 9)) if kind == "few" else int(rng.integers(40, 90))
+    size = {"few": 4.0, "large": 9.0, "many": 1.5}[kind]
+    roots = size * (rng.normal(scale=0.4, size=(count, 2, 2)) + np.diag([1.0, 0.5]))
+    opacities = rng.uniform(0.9, 1.0, count) if kind == "large" else rng.uniform(0.1, 1.0, count)
+    return (
+        rng.uniform(-0.25, 1.25, (count, 2)) * [width, height],
+        roots @ roots.transpose(0, 2, 1) + 0.3 * np.eye(2),
+        opacities,
+        rng.uniform(0.0, 1.0, (count, 3)),
+        2.0 + 0.1 * rng.permutation(count),
+        (height, width),
+        rng.uniform(0.0, 1.0, 3),
+    )
 
 
 def _draw_splats(rng: np.random.Generator) -> tuple[Any, ...]:

@@ -5,11 +5,13 @@ import math
 import numpy as np
 from given import (
     APPROACH,
+    ASIDE,
     COHORT,
     FLARE_TIME,
     GLIDE,
     GRAVITY,
     KI,
+    KINDS,
     KP,
     LIFT_0,
     LIFT_SLOPE,
@@ -185,14 +187,97 @@ def _less_of_both(flare: Function) -> bool:
     return is_same_answer((rate, idle), (expected, False), atol=1e-9)
 
 
+SEEDS = (3, 5, 14)  # of starts on both ends of what is drawn
+SOFTLY = 0.2  # more than touch_sink in the small world, which has no lag below these loops [m/s]
+
+
+def _landings(expert: Function, *kinds: str) -> list[dict]:
+    """Landings in the small world of given.py: two of each kind."""
+    return list(expert("land", *[(kind, seed) for kind in kinds for seed in SEEDS]))
+
+
+def _all_land(expert: Function, *kinds: str) -> bool:
+    return all(
+        each["touched"] == "pad" and each["aside"] <= ASIDE and each["sink"] <= SOFT + SOFTLY
+        for each in _landings(expert, *kinds)
+    )
+
+
+def _forgets(expert: Function) -> bool:
+    """One object lands in each way, after another one: each is what it is at first."""
+    kinds = [(kind, 14) for kind in KINDS]
+    first = [expert("land", (KINDS[0], 14), each)[1] for each in kinds]
+    again = expert("land", *reversed(kinds))[::-1]
+    return all(each["touched"] == "pad" for each in first) and is_same_answer(again, first)
+
+
+def _idle_at_the_end(expert: Function) -> bool:
+    """No motor in the last step, and one on the way: a throttle of 0 all the time would be slow."""
+    ends = [each["throttle"] for each in _landings(expert, *KINDS)]
+    expert("reset")
+    level = np.array([7.0, 0.0, 0.0])
+    slow = expert("act", np.array([-18.0, -2.0, 2.0]), 0.8 * level, 0.0, 0.1)
+    return max(ends) == 0.0 and slow[2] > 0.3
+
+
+def _flies_towards(expert: Function) -> bool:
+    """Beside the line, on a straight approach: towards it from both sides, and level on it."""
+    banks = []
+    for y in (-4.0, -2.0, 0.0):
+        expert("reset")
+        level = np.array([7.0, 0.0, 0.0])
+        banks.append(expert("act", np.array([-18.0, y, 1.8]), level, 0.0, 0.08)[0])
+    return banks[0] < -0.1 and abs(banks[1]) < 1e-6 and banks[2] > 0.1
+
+
+LANDING = (
+    Check(
+        "`act` gives a bank, a vertical speed and a throttle: finite, and within their limits",
+        lambda f: all(0 < each["answers"] == each["steps"] for each in _landings(f, *KINDS)),
+        "return a tuple of three numbers in every mode: at most 60 degrees, 3 m/s, and 0..1",
+    ),
+    Check(
+        "straight in, it flies towards the centre line from both sides",
+        _flies_towards,
+        "`guidance` with a line that ends at AIM; y is to the left",
+    ),
+    Check(
+        "straight in, it lands: on the pad, near the line, softly (0.2 m/s in a small world)",
+        lambda f: _all_land(f, "straight in"),
+        "`flare` with the height of the wheels above the pad, and the way to AIM",
+    ),
+    Check(
+        "from downwind on the left it turns round and lands",
+        lambda f: _all_land(f, "downwind left"),
+        "turn towards the centre line, before the wall at x = -22.5 m; a half circle at 45 degrees "
+        "is 10 m wide",
+    ),
+    Check(
+        "from downwind on the right it turns round the other way and lands",
+        lambda f: _all_land(f, "downwind right"),
+        "the side that it begins on decides the sign of the turn",
+    ),
+    Check(
+        "the motor is idle when the wheels touch, and works where it is too slow",
+        _idle_at_the_end,
+        "remember that the flare has begun; `hold_speed` before that",
+    ),
+    Check(
+        "a landing after `reset` is like the first of a new object",
+        _forgets,
+        "`reset` sets back everything that `act` remembers: mode, integral, idle motor",
+    ),
+)
+
+
 LAB = Lab(
     name="lab07",
     title="The expert",
-    hours=3.0,
+    hours=4.0,
     exercises=(
         Exercise(
             "turn",
-            15.0,
+            11.0,
             (
                 Check(
                     "V^2 = g R makes a bank of 45 deg and n = sqrt 2",
@@ -219,7 +304,7 @@ LAB = Lab(
         ),
         Exercise(
             "turn_rates",
-            10.0,
+            8.0,
             (
                 Check(
                     "a level nose at 45 deg: q and r share the turn; q is positive on both sides",
@@ -240,7 +325,7 @@ LAB = Lab(
         ),
         Exercise(
             "guidance",
-            20.0,
+            15.0,
             (
                 Check(
                     "on the line and along it, no bank",
@@ -273,7 +358,7 @@ LAB = Lab(
         ),
         Exercise(
             "hold_speed",
-            15.0,
+            10.0,
             (
                 Check(
                     "one step, by hand",
@@ -299,7 +384,7 @@ LAB = Lab(
         ),
         Exercise(
             "flare",
-            15.0,
+            11.0,
             (
                 Check(
                     "on the slope, V sin(GLIDE) down, motor running",
@@ -323,6 +408,15 @@ LAB = Lab(
                     "compare both sink rates; only where the flare is smaller is the motor idle",
                 ),
             ),
+        ),
+        Exercise(
+            "LandingExpert",
+            20.0,
+            LANDING,
+            through="ask_expert",
+            seconds=30.0,
+            nearby=False,
+            free=True,
         ),
     ),
     rubric=(

@@ -6,20 +6,25 @@ In a trial the student's one function flies the aircraft together with reference
 import cmath
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 from given import (
     AIM,
     APPROACH,
+    ASIDE,
     BANK_LIMIT,
     FLARE_TIME,
     GLIDE,
     GLIDE_THROTTLE,
     GRAVITY,
+    HARDER_BY,
     HEIGHT,
     KI,
+    KINDS,
     KP,
+    LANDING_S,
     LEVEL_THROTTLE,
     LIFT_0,
     LIFT_SLOPE,
@@ -35,14 +40,17 @@ from given import (
     WAYPOINTS,
     WHEELS_BELOW,
     Autopilot,
+    draw_start,
+    is_answer,
 )
 
-from falconwing_kit.aircraft import LandingPad, load_airframe, rates_model
-from falconwing_kit.core import Command, rotation_world_body
+from falconwing_kit.aircraft import LandingPad, load_airframe, rates_model, trim
+from falconwing_kit.core import Command, State, rotation_world_body
 from falconwing_kit.flight import SimulatedWorld, Spread
 from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values
 
 MODEL, AIRFRAME, PAD = rates_model(), load_airframe(), LandingPad()
+STEADY = State.from_vector(trim(MODEL, SPEED).state)
 SCATTER = Spread(position=0.4, angle=math.radians(4.0), speed=0.4)
 LEGS, LEGS_TIME = 3, 8.5  # of the circuit, and the time for them [s]; the reference takes 7
 SOFTER_BY = (
@@ -100,6 +108,10 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
         "guidance": (Values(line, bank), Trials(_flies_the_legs, trials=2)),
         "hold_speed": (Values(_draw_speed, _throttle),),
         "flare": (Values(_draw_height, climb_rate), Trials(landing, trials=3)),
+        "LandingExpert": tuple(
+            Trials(partial(_lands_from, kind=kind, hardest=touch_sink + HARDER_BY), trials=1)
+            for kind in KINDS
+        ),
     }
 
 
@@ -230,6 +242,51 @@ def _lands(flare: Function, rng: np.random.Generator, hardest: float) -> bool:
     world = _flown(pilot, (PAD_START - 20.0, AIM[1], 1.5), rng, 10.0, PAD)
     touchdown = world.contact.touchdown if world is not None and world.contact is not None else None
     return touchdown is not None and touchdown.on_pad and touchdown.sink_rate <= hardest
+
+
+def _lands_from(expert: Function, rng: np.random.Generator, kind: str, hardest: float) -> bool:
+    """Whether a landing from a drawn start of this kind counts."""
+    autopilot, throttle = Autopilot(), 1.0
+    _fly_before(expert, kind)
+    expert("reset")
+
+    def pilot(state: Any) -> Command | None:
+        nonlocal throttle
+        answer = expert("act", state.p_world, state.v_world, float(state.roll), float(state.pitch))
+        if not is_answer(answer):
+            return None
+        bank, climb, throttle = (float(each) for each in answer)
+        rates = _rates(bank, state.pitch, float(np.linalg.norm(state.v_world)))
+        return Command.clip(throttle, *autopilot.sticks(state, bank, climb, rates))
+
+    p, yaw = draw_start(kind, rng)
+    seed = int(rng.integers(1, 10_000))
+    spread = Spread(position=0.1, angle=math.radians(3.0), speed=0.3)
+    start = spread.start_near(STEADY, p, seed, yaw)
+    world = SimulatedWorld(MODEL, AIRFRAME, start, seed=seed, pad=PAD)
+    while world.contact is None and world.t < LANDING_S:
+        command = pilot(world.measured())
+        if command is None:
+            return False
+        world.send(world.t, command)
+        world.advance(world.t + STEP)
+    touch = world.contact.touchdown if world.contact is not None else None
+    return (
+        touch is not None
+        and touch.on_pad
+        and throttle == 0.0
+        and touch.absolute_lateral_deviation <= ASIDE
+        and touch.sink_rate <= hardest
+    )
+
+
+def _fly_before(expert: Function, kind: str) -> None:
+    """Two seconds of another landing, too slow, with its flare, which `reset` must forget."""
+    expert("reset")
+    ahead = -1.0 if kind == KINDS[0] else 1.0
+    for step in range(40):
+        p = np.array([0.1 * ahead * step, AIM[1] + 7.0, 2.0 - 0.045 * step])
+        expert("act", p, np.array([5.0 * ahead, 0.0, -0.9]), 0.0, 0.05)
 
 
 def _flown(

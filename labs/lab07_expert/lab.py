@@ -10,9 +10,10 @@
 # - say which bank a turn needs, and how far it is from the stall,
 # - make an aircraft converge to a line, whatever its heading,
 # - limit a controller without spoiling it (anti-windup),
-# - flare.
+# - flare,
+# - build an expert that lands from anywhere, with modes of its own.
 #
-# **Time** about 3 hours. **Before** Lab 2 (signs of roll, pitch, yaw), Lab 4 (the aircraft); the idea of a PI
+# **Time** about 4 hours. **Before** Lab 2 (signs of roll, pitch, yaw), Lab 4 (the aircraft); the idea of a PI
 # controller. **Paper** *Case Study: Leader-Follower Visual Tracking* (the expert), *Indoor Flying Arena Setup for
 # Autonomous Landing*, Appendix.
 
@@ -23,9 +24,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from given import (
     AIM, APPROACH, BANK_LIMIT, COHORT, FLARE_TIME, GLIDE, GLIDE_THROTTLE, GRAVITY, HEIGHT, KI,
-    KP, LEVEL_THROTTLE, LIFT_0, LIFT_SLOPE, PAD_HEIGHT, PAD_START, PULL, SLOPE_GAIN, SPEED,
-    STALL_ALPHA, STEEPEST, STEP, TURN_GAIN, WHEELS_BELOW, Autopilot, draw_circuit, draw_landing,
-    is_at_end, leg,
+    KINDS, KP, LEVEL_THROTTLE, LIFT_0, LIFT_SLOPE, PAD_HEIGHT, PAD_START, PULL, SLOPE_GAIN, SPEED,
+    STALL_ALPHA, STEEPEST, STEP, TURN_GAIN, WHEELS_BELOW, Autopilot, draw_approaches, draw_circuit,
+    draw_landing, fly_expert, is_at_end, leg, scatter_of, scatter_of_the_kit,
 )  # fmt: skip
 
 from falconwing_kit.aircraft import LandingPad, load_airframe, rates_model
@@ -409,6 +410,115 @@ for seed in range(10):
         aside_cm = 100.0 * touch.absolute_lateral_deviation
         print(f"start {seed}: {touch.surface}, {aside_cm:.0f} cm off the centre line,", end=" ")
         print(f"{touch.past_threshold:.1f} m past the threshold, sinking {touch.sink_rate:.2f} m/s")
+
+# %% [markdown]
+# ## 8 Build it: an expert that lands from anywhere
+# `LandingPilot` began in line with the pad. Now build an expert that lands from two kinds of start, and does not know
+# which one comes:
+#
+# - **straight in**: 17 to 20 m before the threshold, within 2 m of the centre line, heading along +x, 1.3 to 2 m high;
+# - **downwind**: beside a long wall, 6.5 to 7.5 m to the left or to the right of the centre line, x from -4 to 6 m, 2 m high,
+#   heading along **-x**, away from the pad. It must fly on, turn round (towards the centre line: there is a wall on the other
+#   side), line up, and land.
+#
+# The hall's walls are at x = -22.5 and 17.5 m, y = -12 and 8 m. A landing counts if the wheels first meet the **pad**, not
+# its edge, at most 0.8 m off the centre line, sinking at most 0.4 m/s faster than
+# `touch_sink`, and with the motor idle; nothing else may be touched, and after 16 s it is over. One object lands many times,
+# with a `reset` before each.
+#
+# How you build it is up to you: 30 to 80 lines, with modes, helpers, your five functions, and numbers of your own. Only
+# the interface is fixed; the class's text states it. `fly_expert` flies it in the kit's world (the given `Autopilot` and
+# `turn_rates` of a right answer move the surfaces), `draw_approaches` shows where it went.
+
+
+# %% exercise="LandingExpert"
+class LandingExpert:
+    """From a noisy state to what shall be flown, until the wheels meet the pad.
+
+    LandingExpert()       an expert that has not flown yet
+
+    .reset()              a landing begins: whatever was before is forgotten
+    .act(state)           20 times a second: (bank, climb_rate, throttle)
+        state: measured: p_world (3,) [m], v_world (3,) [m/s], roll, pitch [rad]
+        bank: commanded [rad], right wing down positive, at most 60 degrees
+        climb_rate: commanded [m/s], upward positive, at most 3 m/s
+        throttle: 0..1
+    """
+
+    def __init__(self):
+        # BEGIN SOLUTION
+        self.reset()
+
+    def reset(self):
+        """A landing begins."""
+        self.mode, self.integral, self.idle = "begin", 0.0, False
+        self.turn, self.away_y = 0.0, 0.0  # +1 for a turn to the right; y of the way out [m]
+
+    def act(self, state):
+        """Bank [rad], vertical speed [m/s], throttle."""
+        p, v = state.p_world, state.v_world
+        speed = float(np.linalg.norm(v))
+        self.change_mode(p, v)
+        climb_rate, base = self.climb_rate(p, speed)
+        throttle, self.integral = hold_speed(SPEED - speed, self.integral, base)
+        return self.bank(p, v), climb_rate, 0.0 if self.idle else throttle
+
+    def change_mode(self, p, v):
+        """begin -> away -> turn -> final, or begin -> final."""
+        if self.mode == "begin":
+            self.mode = "away" if v[0] < 0.0 else "final"
+            self.turn = 1.0 if p[1] < AIM[1] else -1.0  # y is to the left: a turn towards the pad
+            self.away_y = AIM[1] - self.turn * 8.3  # nearly at the wall: room for the half circle
+        if self.mode == "away" and p[0] < -13.0:
+            self.mode = "turn"
+        if self.mode == "turn" and v[1] * self.turn > 0.4 * abs(v[0]):
+            self.mode = "final"  # the short way round is now the right one
+
+    def bank(self, p, v):
+        """Bank of this mode [rad]."""
+        steep = math.radians(46.0)
+        if self.mode == "away":
+            start, end = np.array([20.0, self.away_y]), np.array([-20.0, self.away_y])
+            return guidance(p[:2], v[:2], start, end, 0.6 * BANK_LIMIT)
+        if self.mode == "turn":
+            return self.turn * steep
+        near_the_pad = p[2] < 0.7
+        limit = 0.25 if near_the_pad else steep
+        return guidance(p[:2], v[:2], AIM - (40.0, 0.0), AIM, limit)
+
+    def climb_rate(self, p, speed):
+        """Vertical speed of this mode [m/s], and the throttle that it needs."""
+        if self.mode != "final":
+            return min(max(HEIGHT - p[2], -0.5), 0.5), LEVEL_THROTTLE
+        distance = AIM[0] + 2.0 - p[0]  # the turn leaves it below the slope: aim farther
+        climb_rate, flaring = flare(p[2] - PAD_HEIGHT - WHEELS_BELOW, distance, speed)
+        self.idle = self.idle or flaring
+        return climb_rate, GLIDE_THROTTLE
+        # END SOLUTION
+
+
+# %% check="LandingExpert"
+check(LandingExpert)
+
+# %%
+approaches = [fly_expert(LandingExpert(), kind, seed) for kind in KINDS for seed in (1, 2)]
+for flown in approaches:
+    print(f"{flown['kind']}: {flown['said']}")
+draw_approaches(approaches)
+plt.show()
+
+# %% [markdown]
+# *In words, for the open course: seen from above, six simulated tracks that all end on the blue pad. Two come straight in;
+# two go out along the lower wall and turn to the right, two along the upper wall and turn to the left, each with a half circle
+# that ends before the left wall.*
+#
+# **For those who want more (no points).** How close together do you land? The same 24 straight starts,
+# flown by your expert and by the kit's own, which has an observer and optimal gains. Each is measured from the mean of its own
+# touchdowns. So few landings leave an uncertainty of some 15 %: below 0.8 you beat it.
+
+# %%
+yours, kits = scatter_of(LandingExpert()), scatter_of_the_kit()
+print(f"your touchdowns scatter by {yours:.2f} m, the kit's by {kits:.2f} m: {yours / kits:.2f}")
 
 # %% [markdown]
 # ## Questions

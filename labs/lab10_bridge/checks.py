@@ -1,8 +1,13 @@
 """Lab 10: its exercises, what a student can check, and what a person grades."""
 
+import math
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from given import (
     CENTRE_US,
+    COMMAND,
     ENGAGE_FRAMES,
     GAP_US,
     IDLE_US,
@@ -12,10 +17,12 @@ from given import (
     SAFE_US,
     WINDOW_MS,
     Slots,
+    crc16,
     switched_on,
 )
 
 from falconwing_kit.tools.grading import Check, Criterion, Exercise, Function, Lab, is_same_answer
+from falconwing_kit.trainer_port import encode_channels
 
 LEVEL = {"throttle": 0.5, "aileron": 0.0, "elevator": 0.0, "rudder": 0.0}
 
@@ -496,16 +503,260 @@ MONITOR = (
     ),
 )
 
+Item = bytes | list[bytes] | None  # bytes in one piece, in several, or none
+HELD = tuple(float(round(us)) for us in FLOWN)
+
+
+def _sent(slots: Slots = HELD, engage: bool = True, sequence: int = 0) -> bytes:
+    return encode_channels(sequence, [round(us) for us in slots], engage)
+
+
+def _series(*commands: tuple[Slots, bool], first: int = 7) -> list[Item]:
+    """Commands one after the other, with sequences that grow."""
+    return [_sent(slots, on, (first + k) % 65536) for k, (slots, on) in enumerate(commands)]
+
+
+OFF_THEN_ON = _series((HELD, False), *[(HELD, True)] * ENGAGE_FRAMES)
+
+
+def _frames(
+    bridge: Function, *items: Item, pilots: Sequence[Slots | None] = ()
+) -> list[tuple[Any, ...]]:
+    """State and slots of each frame: one at 0 ms, then 22 ms each, with an item 1 ms behind it."""
+    events: list[tuple[float, np.ndarray | None, Slots | None]] = []
+    for number, item in enumerate((*items, None)):
+        t_ms = 22.0 * number
+        events.append((t_ms, None, pilots[number] if number < len(pilots) else PILOT))
+        pieces = item if isinstance(item, list) else [item] if item is not None else []
+        for piece in pieces:
+            t_ms += 1.0
+            events.append((t_ms, np.frombuffer(piece, np.uint8), None))
+    answer = bridge(events)
+    states, slots = answer["states"].values(), answer["slots"]
+    return [(state, *map(float, row)) for state, row in zip(states, slots, strict=True)]
+
+
+def _states(bridge: Function, *items: Item, pilots: Sequence[Slots | None] = ()) -> str:
+    """First letters of the states, frame by frame."""
+    return "".join(str(frame[0])[:1] for frame in _frames(bridge, *items, pilots=pilots))
+
+
+def _pieces(data: bytes, size: int) -> list[bytes]:
+    return [data[i : i + size] for i in range(0, len(data), size)]
+
+
+def _engages_through(bridge: Function, *noise: bytes, places: Sequence[int] = range(6)) -> bool:
+    """Whether commands with noise in front of these are all read."""
+    items = [
+        b"".join(noise) + item if k in places and isinstance(item, bytes) else item
+        for k, item in enumerate(OFF_THEN_ON)
+    ]
+    return _states(bridge, *items) == "SSSSSSA"
+
+
+def _damaged(frame: bytes, at: int, by: int) -> bytes:
+    return frame[:at] + bytes([frame[at] ^ by]) + frame[at + 1 :]
+
+
+def _drops(bridge: Function, *wrong: bytes) -> bool:
+    """Whether each of these in the place of the fifth command leaves the board at four."""
+    good = [item for item in OFF_THEN_ON if isinstance(item, bytes)]
+    return all(
+        _states(bridge, *good[:5], each) == "SSSSSSS"
+        and _states(bridge, *good[:5], each, good[5]) == "SSSSSSSA"
+        for each in wrong
+    )
+
+
+def _packed(payload: bytes) -> bytes:
+    """A frame of any payload, by the text's rules."""
+    content = payload + crc16(payload).to_bytes(2, "little")
+    return b"".join(bytes([len(run) + 1]) + run for run in content.split(b"\0")) + b"\0"
+
+
+def _payload(flags: int, sequence: int = 12, slots: Slots = HELD, kind: int = COMMAND) -> bytes:
+    tail = b"".join(round(us).to_bytes(2, "little") for us in slots)
+    return bytes([kind]) + sequence.to_bytes(2, "little") + bytes([flags]) + tail
+
+
+def _slots_after(bridge: Function, slots: Slots, frames: int) -> tuple[Any, ...]:
+    """The last frame after the board is ACTIVE and a command is repeated for so many frames."""
+    commands = [(HELD, False), *[(HELD, True)] * (ENGAGE_FRAMES + 6), *[(slots, True)] * frames]
+    return _frames(bridge, *_series(*commands))[-1]
+
+
+TOO_FAR = (2200.0, *HELD[1:])
+SILENT_FRAMES = math.ceil((LOST_MS - 21.0) / 22.0)  # in ACTIVE after the frame behind a command
+BRIDGE = (
+    Check(
+        "a board that nobody speaks to is SAFE and sends SAFE_US",
+        lambda f: _frames(f, None, None) == [("SAFE", *SAFE_US)] * 3,
+        "`frame` returns four slots in every state.",
+    ),
+    Check(
+        "off and five commands with engage on, each in one piece: ACTIVE in the frame after",
+        lambda f: _states(f, *OFF_THEN_ON) == "SSSSSSA",
+        "Cut at the zero byte, undo COBS, compare the CRC of the payload (without its last two "
+        "bytes), then a step of `failsafe_state`.",
+    ),
+    Check(
+        "the same byte by byte, and in pieces of 7 that do not end with the frames",
+        lambda f: (
+            _states(f, *[_pieces(item, 1) for item in OFF_THEN_ON]) == "SSSSSSA"
+            and _states(f, *[_pieces(item, 7) for item in OFF_THEN_ON]) == "SSSSSSA"
+        ),
+        "Keep the bytes behind the last zero until the next call.",
+    ),
+    Check(
+        "all six commands in one piece are six steps",
+        lambda f: _states(f, b"".join(OFF_THEN_ON), None) == "SAA",
+        "A piece may hold several frames: go through all of them.",
+    ),
+    Check(
+        "noise, an empty frame, or half a frame before a frame costs nothing if a zero ends it",
+        lambda f: (
+            _engages_through(f, b"\0")
+            and _engages_through(f, b"\x05\x01\xff\x00")
+            and _engages_through(f, _sent(HELD, True, 3)[:9], b"\0")
+        ),
+        "Whatever the bytes before it were, the next zero ends them; an empty frame is no error.",
+    ),
+    Check(
+        "a frame with a flipped bit, a byte too few or too many is dropped, the next one is read",
+        lambda f: _drops(
+            f,
+            *[_damaged(OFF_THEN_ON[5], at, 0x10) for at in range(len(OFF_THEN_ON[5]) - 1)],
+            OFF_THEN_ON[5][:6] + OFF_THEN_ON[5][7:],
+            OFF_THEN_ON[5][:6] + b"\x31" + OFF_THEN_ON[5][6:],
+            b"\xff\x01\0",
+            b"\x02\x01\0",
+        ),
+        "Look at the CRC, and at lengths of COBS that lead beyond the end; nothing may raise.",
+    ),
+    Check(
+        "another type, three or five slots, and a longer payload are dropped, although whole",
+        lambda f: _drops(
+            f,
+            _packed(_payload(1, kind=0x02)),
+            _packed(_payload(1, slots=HELD[:3])),
+            _packed(_payload(1, slots=(*HELD, 1500.0))),
+            _packed(_payload(1) + b"\x07"),
+            _packed(b"\x01"),
+        ),
+        "The payload of a command has 12 bytes, and begins with COMMAND.",
+    ),
+    Check(
+        "slots of 899 or 2101 us make a command invalid; 900 and 2100 us do not",
+        lambda f: (
+            all(
+                _drops(f, _packed(_payload(1, slots=(*HELD[:k], us, *HELD[k + 1 :]))))
+                for k, us in ((0, 899.0), (0, 2101.0), (3, 899.0), (3, 2101.0))
+            )
+            and all(
+                _slots_after(f, (us, *HELD[1:]), 6)[:2] == ("ACTIVE", cut)
+                for us, cut in ((900.0, 1000.0), (2100.0, 2000.0))
+            )
+        ),
+        "RANGE_US decides whether a command counts; LIMITS_US cuts what goes to the radio.",
+    ),
+    Check(
+        "a sequence that came before, or is older, is dropped; 0 after 65535 is new",
+        lambda f: (
+            _drops(f, _packed(_payload(1, sequence=11)), _packed(_payload(1, sequence=2)))
+            and _states(f, *_series((HELD, False), *[(HELD, True)] * ENGAGE_FRAMES, first=65533))
+            == "SSSSSSA"
+        ),
+        "The difference modulo 65536, between 1 and 32767.",
+    ),
+    Check(
+        "a sequence 32767 ahead is new, 32768 ahead is not; a dropped one changes nothing",
+        lambda f: (
+            _states(f, *OFF_THEN_ON[:5], _packed(_payload(1, sequence=11 + 32767))) == "SSSSSSA"
+            and _drops(f, _packed(_payload(1, sequence=11 + 32768)))
+            and _drops(f, _packed(_payload(1, sequence=500, slots=(800.0, *HELD[1:]))))
+        ),
+        "Only a valid command is remembered as the last one.",
+    ),
+    Check(
+        "engage is bit 0 of the flags: 3 is on, 2 is off",
+        lambda f: (
+            _states(f, *OFF_THEN_ON[:5], _packed(_payload(3))) == "SSSSSSA"
+            and _states(f, *OFF_THEN_ON, _packed(_payload(2, sequence=13))) == "SSSSSSAS"
+        ),
+        "Mask the bit: flags & 1.",
+    ),
+    Check(
+        "in ACTIVE the slots go to the command by SLEW_US a frame at most, and stay there",
+        lambda f: (
+            [frame[1:] for frame in _frames(f, *_series((HELD, False), *[(HELD, True)] * 8))[6:]]
+            == [
+                (SAFE_US[0] + 250.0, *HELD[1:]),
+                (SAFE_US[0] + 500.0, *HELD[1:]),
+                HELD,
+                HELD,
+            ]
+            and _slots_after(f, (HELD[0], HELD[1] - 300.0, *HELD[2:]), 1)[2] == HELD[1] - 250.0
+            and _slots_after(f, (HELD[0], HELD[1] - 300.0, *HELD[2:]), 2)[2] == HELD[1] - 300.0
+        ),
+        "Each slot is compared with the same slot of the frame before, SAFE_US included.",
+    ),
+    Check(
+        "after the last command the board goes on for less than LOST_MS, then LOST and SAFE_US",
+        lambda f: (
+            _states(f, *OFF_THEN_ON, *[None] * SILENT_FRAMES)
+            == "SSSSSS" + "A" * SILENT_FRAMES + "L"
+            and _frames(f, *OFF_THEN_ON, *[None] * SILENT_FRAMES)[-1] == ("LOST", *SAFE_US)
+        ),
+        "Every frame is a step of the machine, with the time since the last step.",
+    ),
+    Check(
+        "commands that are dropped do not keep the board ACTIVE",
+        lambda f: (
+            _states(f, *OFF_THEN_ON, *[OFF_THEN_ON[-1]] * 14)[-1] == "L"
+            and _states(f, *OFF_THEN_ON, *[_damaged(_sent(HELD, True, 40), 5, 4)] * 14)[-1] == "L"
+            and _states(f, *OFF_THEN_ON, *[_sent(TOO_FAR, True, 40), *[None] * 4] * 3)[-1] == "L"
+        ),
+        "A step with a command only for a valid one.",
+    ),
+    Check(
+        "the pilot moves a stick: SAFE and SAFE_US in that very frame",
+        lambda f: (
+            _frames(
+                f,
+                *OFF_THEN_ON,
+                _sent(HELD, True, 13),
+                pilots=[PILOT] * 7 + [_moved(PILOT, 2, MOVED_US + 1.0)],
+            )[6:]
+            == [
+                ("ACTIVE", SAFE_US[0] + 250.0, *HELD[1:]),
+                ("SAFE", *SAFE_US),
+            ]
+        ),
+        "Give the machine this frame's sticks, before you choose the slots.",
+    ),
+    Check(
+        "a command is compared with the pilot's sticks of the last frame, measured or not",
+        lambda f: (
+            _states(f, *OFF_THEN_ON, pilots=[None] * 7) == "SSSSSSS"
+            and _states(f, *OFF_THEN_ON, pilots=[PILOT] * 2 + [None] * 5) == "SSSSSSS"
+            and _states(f, *_series((SAFE_US, False), *[(SAFE_US, True)] * 5), pilots=[None] * 7)
+            == "SSSSSSA"
+        ),
+        "Keep `pilot_us` of the last frame for the commands that come after it.",
+    ),
+)
+
 LAB = Lab(
     name="lab10",
     title="Trainer-port bridge",
-    hours=3.0,
+    hours=4.0,
     exercises=(
-        Exercise("encode_ppm", 16.0, ENCODE),
-        Exercise("decode_ppm", 16.0, DECODE),
-        Exercise("matches", 7.0, MATCHES),
-        Exercise("failsafe_state", 20.0, FAILSAFE),
-        Exercise("ssim_monitor", 16.0, MONITOR),
+        Exercise("encode_ppm", 12.0, ENCODE),
+        Exercise("decode_ppm", 12.0, DECODE),
+        Exercise("matches", 5.0, MATCHES),
+        Exercise("failsafe_state", 14.0, FAILSAFE),
+        Exercise("TrainerBridge", 20.0, BRIDGE, through="run_bridge", nearby=False, free=True),
+        Exercise("ssim_monitor", 12.0, MONITOR),
     ),
     rubric=(
         Criterion("timing", 2.0, "Five pulses, slots labelled; both histograms."),

@@ -1,6 +1,8 @@
 """Lab 10, given: your course's numbers, a faulty wire, a radio link with dropouts, video, plots."""
 
+import binascii
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,11 @@ MOVED_US = 120.0  # a stick of the pilot that moved by more takes over: 12 % of 
 ENGAGE_FRAMES = 5  # matching commands in a row before the host may fly
 WINDOW_MS = 500.0  # less than this from the first of them to the last [ms]
 SAFE_US = (CENTRE_US - REACH_US, CENTRE_US, CENTRE_US, CENTRE_US)  # idle, and the middle [us]
+COMMAND = 0x01  # type of the message that is a command
+MAX_FRAME = 64  # no frame is longer [bytes, without its zero]
+RANGE_US = (900.0, 2100.0)  # a command with a slot beyond is dropped [us]
+LIMITS_US = (1000.0, 2000.0)  # a slot that goes to the radio is cut to these [us]
+SLEW_US = 250.0  # and changes by so much at most from one frame to the next [us]
 STATES = ("SAFE", "ACTIVE", "LOST")
 STICKS = ("throttle", "aileron", "elevator", "rudder")
 
@@ -60,6 +67,35 @@ def switched_on() -> Memory:
         "edge_ms": 0.0,
         "pilot_us": None,
     }
+
+
+def crc16(data: bytes) -> int:
+    """Checksum CRC-16/CCITT-FALSE, 0..65535; of b"123456789" it is 0x29B1."""
+    return binascii.crc_hqx(data, 0xFFFF)
+
+
+Event = tuple[float, np.ndarray | None, Slots | None]  # time [ms], bytes or None, pilot's sticks
+
+
+def run_bridge(bridge: type, events: Sequence[Event]) -> dict[str, Any]:
+    """A new board through a series of events; checks and grader call your class through this.
+
+    Args:
+        bridge: your class.
+        events: time [ms], (n,) uint8 bytes that come then, and None; or time, None for a frame that
+            begins then, and the pilot's sticks.
+
+    Returns:
+        "states": the state after each frame, by the frame's name; "slots": (frames, 4) [us].
+    """
+    board, states, sent = bridge(), {}, []
+    for t_ms, data, pilot_us in events:
+        if data is not None:
+            board.receive(data.tobytes(), t_ms)
+        else:
+            sent.append([float(us) for us in board.frame(t_ms, pilot_us)])
+            states[f"frame {len(states)}, at {t_ms:g} ms"] = board.state
+    return {"states": states, "slots": np.array(sent, float)}
 
 
 def first_edges(frames_us: np.ndarray, jitter_us: float = 0.0, seed: int = 0) -> np.ndarray:
@@ -177,14 +213,9 @@ def board_states(steps: list[Step]) -> list[str]:
     """The states of the kit's model of the board's program after each of these steps, one a frame,
     with this course's numbers.
     """
-    from falconwing_kit.trainer_port import Safety, SafetyConfig
+    from falconwing_kit.trainer_port import Safety
 
-    config = SafetyConfig(
-        safe_us=(*(int(us) for us in SAFE_US), 1500, 1500, 1500, 1500),
-        host_timeout_ms=int(LOST_MS),
-        engage_near_us=int(NEAR_US),
-    )
-    safety, states = Safety(config), []
+    safety, states = Safety(_board_config()), []
     for number, (command_us, engage, pilot_us) in enumerate(steps):
         now_us = round(number * FRAME_US)
         safety.tick(now_us, None if pilot_us is None else [round(us) for us in pilot_us])
@@ -192,6 +223,66 @@ def board_states(steps: list[Step]) -> list[str]:
             safety.frame(now_us, number, engage, [round(us) for us in command_us])
         states.append(safety.state)
     return states
+
+
+def _board_config() -> Any:
+    """Settings of the kit's model of the board, with this course's numbers."""
+    from falconwing_kit.trainer_port import SafetyConfig
+
+    return SafetyConfig(
+        safe_us=(*(int(us) for us in SAFE_US), 1500, 1500, 1500, 1500),
+        host_timeout_ms=int(LOST_MS),
+        engage_near_us=int(NEAR_US),
+    )
+
+
+def bytes_of_faults(flipped: float = 1.0 / 300.0, seed: int = 10) -> list[Event]:
+    """SIMULATED: the scene of faults on the serial line, with bits flipped and bytes in pieces.
+
+    Args:
+        flipped: chance of each bit.
+        seed: of the flips and cuts.
+    """
+    from falconwing_kit.trainer_port import encode_channels
+
+    rng, events = np.random.default_rng(seed), []
+    for number, (command_us, engage, pilot_us) in enumerate(scene_of_faults()):
+        t_ms = 22.0 * number
+        events.append((t_ms, None, pilot_us))
+        if command_us is None:
+            continue
+        frame = encode_channels(number, [int(us) for us in command_us], engage)
+        bits = np.unpackbits(np.frombuffer(frame, np.uint8))
+        data = np.packbits(bits ^ (rng.random(len(bits)) < flipped))
+        while len(data):
+            t_ms, count = t_ms + 0.5, int(rng.integers(1, 10))
+            events.append((t_ms, data[:count], None))
+            data = data[count:]
+    return events
+
+
+def kit_bridge() -> Any:
+    """The kit's reader of frames and its model of the board, with the methods of your class."""
+    from falconwing_kit.trainer_port import CommandFrame, Deframer, Safety
+
+    class KitBridge:
+        def __init__(self) -> None:
+            self.reader, self.safety, self.state = Deframer(), Safety(_board_config()), "SAFE"
+
+        def receive(self, new: bytes, t_ms: float) -> None:
+            for message in self.reader.feed(new):
+                if isinstance(message, CommandFrame):
+                    now_us, slots = round(1000.0 * t_ms), message.channels_us
+                    self.safety.frame(now_us, message.sequence, message.engage, slots)
+            self.state = self.safety.state
+
+        def frame(self, t_ms: float, pilot_us: Slots | None) -> tuple[float, ...]:
+            pilot = None if pilot_us is None else [round(us) for us in pilot_us]
+            slots = self.safety.tick(round(1000.0 * t_ms), pilot)
+            self.state = self.safety.state
+            return tuple(float(us) for us in slots or ())
+
+    return KitBridge
 
 
 def plot_takeover(steps: list[Step], states: list[str]) -> None:

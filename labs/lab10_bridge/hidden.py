@@ -1,5 +1,6 @@
 """Lab 10, hidden: the cases and their references, independent of the lab's solution."""
 
+import binascii
 import math
 from collections.abc import Mapping
 from functools import partial
@@ -8,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values
-from falconwing_kit.trainer_port import Safety, SafetyConfig, Stick
+from falconwing_kit.trainer_port import (
+    CommandFrame,
+    Deframer,
+    Safety,
+    SafetyConfig,
+    Stick,
+    encode_channels,
+    encode_sync,
+)
 
 NAMES = {"T": "throttle", "A": "aileron", "E": "elevator", "R": "rudder"}
 STEPS = 160  # of one trace of the safety machine
@@ -31,6 +40,15 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
         "decode_ppm": (Values(_stream, _frames_by_machine, cases=24, rtol=0.0),),
         "matches": (Trials(partial(_same_matches, config=config), trials=20),),
         "failsafe_state": (Trials(partial(_same_states, config=config), trials=30),),
+        "TrainerBridge": tuple(
+            Values(
+                partial(_line_events, kind=kind, config=config),
+                partial(_by_the_kit, config=config),
+                cases=3,
+                rtol=0.0,
+            )
+            for kind in LINES
+        ),
         "ssim_monitor": (Values(_pictures, _by_loops, cases=16, rtol=1e-7, atol=1e-9),),
     }
 
@@ -241,6 +259,180 @@ def _same_states(student: Function, rng: np.random.Generator, config: SafetyConf
         if not isinstance(memory, dict) or memory.get("state") != safety.state:
             return False
     return True
+
+
+LINES = ("pieces", "noise", "invalid", "who flies")  # what goes wrong on the serial line
+
+
+def _by_the_kit(events: Any, config: SafetyConfig) -> dict[str, Any]:
+    """The kit's reader of frames, and its model of the board's program."""
+    reader, safety, states, slots = Deframer(), Safety(config), {}, []
+    for t_ms, data, pilot_us in events:
+        now_us = round(1000.0 * t_ms)
+        if data is None:
+            slots.append(
+                safety.tick(now_us, None if pilot_us is None else list(map(round, pilot_us)))
+            )
+            if pilot_us is None:
+                safety.has_pilot = False  # the board forgets a signal after 100 ms, here it is told
+            states[f"frame {len(states)}, at {t_ms:g} ms"] = safety.state
+            continue
+        for message in reader.feed(data.tobytes()):
+            if isinstance(message, CommandFrame):
+                safety.frame(now_us, message.sequence, message.engage, message.channels_us)
+    return {"states": states, "slots": np.array(slots, float)}
+
+
+def _line_events(rng: np.random.Generator, kind: str, config: SafetyConfig) -> tuple[Any, ...]:
+    """A board's life of some seconds in which the host flies for a while.
+
+    Drawn again where it never flies, or where five commands out of range make a FAULT.
+    """
+    while True:
+        events = _drawn_events(rng, kind, config)
+        states = list(_by_the_kit(events, config)["states"].values())
+        if 5 <= states.count("ACTIVE") < len(states) - 5 and "FAULT" not in states:
+            return (events,)
+
+
+def _drawn_events(rng: np.random.Generator, kind: str, config: SafetyConfig) -> list[Any]:
+    safe = tuple(float(us) for us in config.safe_us[:4])
+    pilot: Slots | None = safe if rng.random() < 0.4 else tuple(map(float, _sticks_near(rng, safe)))
+    if rng.random() < 0.2:
+        pilot = None
+    sequence = int(rng.integers(65500, 65536)) if rng.random() < 0.5 else int(rng.integers(65536))
+    flown, wrong, t_ms = safe, 0, 0.0
+    events: list[Any] = [(0.0, None, pilot)]
+    part = np.zeros(0, np.uint8)  # bytes that are still on their way
+    for phase in _phases(rng, kind):
+        count = int(rng.integers(6, 12)) if phase != "silence" else int(rng.integers(3, 16))
+        count = 15 if kind == "invalid" and phase == "silence" else count
+        if kind == "who flies" and rng.random() < 0.3:  # the pilot's signal stops, or comes back
+            near = tuple(map(float, _sticks_near(rng, safe)))
+            pilot = near if pilot is None else None
+        for number in range(count):
+            t_frame = t_ms + float(rng.choice([21.5, 22.0, 22.5]))
+            sent = b""
+            if phase == "off" or (phase == "on" and number == 0 and rng.random() < 0.6):
+                sent = _command(rng, sequence := sequence + 1, flown, False)
+            elif phase in ("on", "moves"):
+                near = safe if pilot is None else pilot
+                flown = near if number < 6 else _steered(rng, flown)
+                sent = _command(rng, sequence := sequence + 1, flown, True)
+            if sent and kind == "noise":
+                sent = _noisy(rng, sent)
+            if kind == "invalid" and (number % 3 == 0 if phase == "silence" else number % 3 == 1):
+                far = (phase == "silence" and wrong < 4) or rng.random() < 0.15
+                other, is_wrong = _invalid(rng, sequence, flown, far)
+                sent, wrong = sent + other, wrong + is_wrong
+            if phase == "moves" and number == 3 and pilot is not None:
+                moved = np.array(pilot)
+                moved[int(rng.integers(4))] += float(rng.choice([-121.0, -120.0, 120.0, 121.0]))
+                pilot = tuple(map(float, moved))
+            part = np.concatenate([part, np.frombuffer(sent, np.uint8)])
+            whole = kind == "who flies" or rng.random() < 0.4
+            for at in np.sort(rng.integers(1, 42, 1 if whole else 4)) / 2.0:
+                size = len(part) if whole else int(rng.integers(0, len(part) + 1))
+                if size:
+                    events.append((t_ms + float(at), part[:size].copy(), None))
+                part = part[size:]
+            t_ms = t_frame
+            events.append((t_ms, None, pilot))
+    return _without_late_commands(events, config)
+
+
+def _phases(rng: np.random.Generator, kind: str) -> list[str]:
+    """What the host and the pilot do one after the other."""
+    middle = ["on", "silence", "on", "off", "on", "moves", "on"]
+    some = [str(each) for each in rng.permutation(middle)[: int(rng.integers(3, 6))]]
+    some = ["silence", *some] if kind == "invalid" else some
+    return ["off", "on", *some, *(["off", "on", "moves"] if kind == "who flies" else [])]
+
+
+def _command(
+    rng: np.random.Generator, sequence: int, slots: Slots, engage: bool, kind: int = 0x01
+) -> bytes:
+    """A frame whose other flags are off, or on and off by chance."""
+    flags = 2 * int(rng.integers(128)) * int(rng.integers(2)) + engage
+    payload = bytes([kind]) + (sequence % 65536).to_bytes(2, "little") + bytes([flags])
+    payload += b"".join(round(us).to_bytes(2, "little") for us in slots)
+    content = payload + binascii.crc_hqx(payload, 0xFFFF).to_bytes(2, "little")
+    return b"".join(bytes([len(run) + 1]) + run for run in content.split(b"\0")) + b"\0"
+
+
+def _sticks_near(rng: np.random.Generator, safe: Slots) -> np.ndarray:
+    away = [int(rng.integers(100, 800)), *rng.integers(-200, 201, 3)]
+    return np.array(safe) + np.array(away)
+
+
+def _steered(rng: np.random.Generator, slots: Slots) -> Slots:
+    """Another command, now and then far away or beyond the radio's limits."""
+    away = rng.choice([20, 150, 600]) * rng.uniform(-1.0, 1.0, 4)
+    return tuple(float(us) for us in np.clip(np.round(np.array(slots) + away), 900.0, 2100.0))
+
+
+def _noisy(rng: np.random.Generator, frame: bytes) -> bytes:
+    """The frame as it is, with a bit flipped, a byte lost or added, or noise in front of it."""
+    what, at = int(rng.integers(7)), int(rng.integers(len(frame)))
+    if what in (0, 5):
+        return frame[:at] + bytes([frame[at] ^ (1 << int(rng.integers(8)))]) + frame[at + 1 :]
+    if what == 1:
+        return frame[:at] + frame[at + 1 :]
+    if what == 2:
+        return frame[:at] + rng.bytes(1) + frame[at:]
+    if what == 3:
+        return rng.bytes(int(rng.integers(1, 90))) + b"\0" + frame
+    return frame if what == 6 else b"\0" + frame
+
+
+def _invalid(
+    rng: np.random.Generator, sequence: int, slots: Slots, is_out_of_range: bool
+) -> tuple[bytes, bool]:
+    """A whole frame that is no valid command, and whether a slot of it is out of range."""
+    what, on = int(rng.integers(8)), bool(rng.random() < 0.8)
+    if what == 5:
+        kind = int(rng.choice([0x02, 0x03, 0x11]))
+        return _command(rng, sequence + 1, (1500.0,) * 4, on, kind), False
+    if is_out_of_range:
+        wrong = [round(us) for us in slots]
+        wrong[int(rng.integers(4))] = int(rng.choice([0, 899, 2101, 65535]))
+        return encode_channels(sequence + 1, wrong, on), True
+    if what in (0, 1, 6):
+        old = sequence - int(rng.choice([0, 0, 0, 1, 8]))
+        return encode_channels(old % 65536, [1500] * 4, on), False
+    if what in (2, 7):
+        return encode_channels(sequence + 32768, [1500] * 4, on), False
+    if what == 3:
+        return encode_sync(int(rng.integers(2**32))), False
+    return encode_channels(sequence + 1, [1500] * int(rng.integers(5, 9)), on), False
+
+
+def _without_late_commands(events: list[Any], config: SafetyConfig) -> list[Any]:
+    """Bytes that come when silence ends the flight before the next frame are moved behind it."""
+    reader, safety, kept, held = Deframer(), Safety(config), [], np.zeros(0, np.uint8)
+    valid_us: int | None = None
+    limit_us = 1000 * config.host_timeout_ms
+    seen_us = 0  # of the last frame
+    for t_ms, data, pilot_us in events:
+        now_us = round(1000.0 * t_ms)
+        if data is None:
+            kept.append((t_ms, None, pilot_us))
+            safety.tick(now_us)
+            seen_us = now_us
+            continue
+        held = np.concatenate([held, data])
+        late = valid_us is not None and seen_us - valid_us < limit_us <= now_us - valid_us
+        if late:
+            continue  # they come with the next bytes, behind a frame
+        for message in reader.feed(held.tobytes()):
+            if isinstance(message, CommandFrame):
+                decision = safety.frame(
+                    now_us, message.sequence, message.engage, message.channels_us
+                )
+                valid_us = now_us if decision == 0 else valid_us
+        kept.append((t_ms, held, None))
+        held = np.zeros(0, np.uint8)
+    return kept
 
 
 def _pictures(rng: np.random.Generator) -> tuple[Any, ...]:

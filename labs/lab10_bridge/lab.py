@@ -9,9 +9,10 @@
 # **You will be able to**
 # - write and read a PPM signal, pulse by pulse, with the timer of a real micro-controller;
 # - design a state machine that hands back when the computer, the cable or the picture fails;
+# - build a parser that reads a noisy line in any pieces, and the board's program around it;
 # - say what the paper's video monitor sees, and what it does not.
 #
-# **Time** 3 hours. **Before** lab 2 (what an image is); no hardware is needed. All data here is **simulated**.
+# **Time** 4 hours. **Before** lab 2 (what an image is); no hardware is needed. All data here is **simulated**.
 #
 # **How it works** Write the functions in place of `raise NotImplementedError`. Each is followed by a `check(...)` cell
 # that reports which claims hold. Run it as often as you like.
@@ -23,27 +24,36 @@ from given import (
     C1,
     C2,
     CENTRE_US,
+    COMMAND,
     ENGAGE_FRAMES,
     FRAME_US,
     FROZEN_LEVELS,
     GAP_US,
     IDLE_US,
+    LIMITS_US,
     LOST_MS,
+    MAX_FRAME,
     MOVED_US,
     NEAR_US,
     PAUSE_US,
+    RANGE_US,
     REACH_US,
     SAFE_US,
+    SLEW_US,
     STICKS,
     TICKS_PER_US,
     TIMER,
     VALID_US,
     WINDOW_MS,
     board_states,
+    bytes_of_faults,
+    crc16,
     first_edges,
+    kit_bridge,
     plot_frame,
     plot_monitor,
     plot_takeover,
+    run_bridge,
     scene_of_faults,
     switched_on,
     video,
@@ -366,6 +376,141 @@ agree = sum(mine == its for mine, its in zip(states, board, strict=False))
 print(f"The board's machine is in the same state in {agree} of {len(board)} frames")
 
 # %% [markdown]
+# ### Build it: the board's program
+#
+# Now the whole board, as a class of your own. It reads the serial line, byte by byte, and says what goes to the radio.
+# How you build it is up to you: 30 to 80 lines, with as many methods and helpers as you like. Only the interface is
+# fixed; the class's text states it. `failsafe_state` is yours to use.
+#
+# **On the line** a command is a *frame*: the bytes `COBS(payload + CRC)`, then one zero byte. All numbers have their low
+# byte first.
+#
+# | payload | bytes | |
+# |---|---|---|
+# | type | 1 | `COMMAND`; any other type is not for you |
+# | sequence | 2 | grows with every command; 0 follows 65535 |
+# | flags | 1 | bit 0 is engage; the others may be anything |
+# | slots | 4 x 2 | [us], the throttle first |
+#
+# - The **CRC** is a checksum of the payload, in 2 bytes: `crc16(payload)`. A frame whose CRC does not match is damaged.
+# - **COBS** takes the zeros out, so that the only zero on the line is the end of a frame. `payload + CRC` is cut at its
+#   zeros; each piece is sent behind one byte, which is its length plus one; the zeros are not sent. So
+#   `11 22 00 33` becomes `03 11 22 02 33`, and `00` becomes `01 01`. To read it, jump from one such byte to the next:
+#   what lies between them are the pieces, and between two pieces there was a zero. A jump beyond the end means damage.
+#
+# **A command is valid** if its frame is whole, its payload is exactly that long, every slot lies within `RANGE_US`,
+# and its sequence is new: 1 to 32767 ahead of that of the last valid command, modulo 65536 (the first one may have any).
+# Everything else is dropped, as if it had never come. It must not even keep the computer alive.
+#
+# **Bytes come as they like:** half a frame, three frames at once, noise in front, a byte missing. Whatever happened
+# before, the next zero ends a frame and what follows is a new one. (On a board keep no more than `MAX_FRAME` bytes: a line
+# that sends no zeros must not fill the memory.)
+#
+# **To the radio** goes, in `ACTIVE`, the last valid command: each slot cut to `LIMITS_US`, and no farther than `SLEW_US`
+# from the same slot of the frame before, so that no servo jumps. In every other state it is `SAFE_US`, at once.
+
+
+# %% exercise="TrainerBridge"
+class TrainerBridge:
+    """The board: bytes from the computer and the pilot's sticks in, slots for the radio out.
+
+    TrainerBridge()              a board that was just switched on, at 0 ms
+
+    .receive(data, t_ms)         bytes that came at t_ms, any number, cut anywhere; returns nothing
+    .frame(t_ms, pilot_us)       a frame for the radio begins: its four slots [us], a tuple
+        pilot_us: four slots of the pilot's sticks [us] as they are now; None: not measured
+    .state                       "SAFE", "ACTIVE" or "LOST", as the last call left it
+
+    Times never go back. `frame` is called every 22 ms or so, and before the first bytes. A command
+    that is complete at t_ms is a step of the machine then, with the pilot's sticks of the last
+    frame; each frame is a step without a command.
+    """
+
+    def __init__(self) -> None:
+        # BEGIN SOLUTION
+        self._memory = switched_on()
+        self._part = b""  # bytes since the last zero
+        self._sequence: int | None = None  # of the last valid command
+        self._command = self._slots = SAFE_US
+        self._pilot: tuple[float, ...] | None = None
+        self._t_ms = 0.0
+
+    @property
+    def state(self) -> str:
+        """State of the safety machine."""
+        return self._memory["state"]
+
+    def receive(self, data: bytes, t_ms: float) -> None:
+        """Bytes from the serial line."""
+        *frames, part = (self._part + data).split(b"\0")
+        self._part = part[: MAX_FRAME + 1]  # too long to be a frame, and stays so
+        for frame in frames:
+            payload = self._payload(frame)
+            if payload is not None and payload[0] == COMMAND and len(payload) == 12:
+                self._take(payload, t_ms)
+
+    def frame(self, t_ms: float, pilot_us: tuple[float, ...] | None) -> tuple[float, ...]:
+        """Slots of the frame that begins now."""
+        self._pilot = pilot_us
+        self._step(t_ms, None, False)
+        if self.state != "ACTIVE":
+            self._slots = SAFE_US
+        else:
+            cut = np.clip(self._command, *LIMITS_US)
+            low, high = np.array(self._slots) - SLEW_US, np.array(self._slots) + SLEW_US
+            self._slots = tuple(float(us) for us in np.clip(cut, low, high))
+        return self._slots
+
+    def _take(self, payload: bytes, t_ms: float) -> None:
+        """A whole command: a step of the machine if it is valid."""
+        sequence = int.from_bytes(payload[1:3], "little")
+        slots = tuple(float(payload[i] + 256 * payload[i + 1]) for i in range(4, 12, 2))
+        if not all(RANGE_US[0] <= us <= RANGE_US[1] for us in slots):
+            return
+        if self._sequence is not None and not 1 <= (sequence - self._sequence) % 65536 <= 32767:
+            return
+        self._sequence, self._command = sequence, slots
+        self._step(t_ms, slots, bool(payload[3] & 1))
+
+    def _step(self, t_ms: float, command_us: tuple[float, ...] | None, engage: bool) -> None:
+        """Time has passed, and perhaps a command came."""
+        dt_ms, self._t_ms = t_ms - self._t_ms, t_ms
+        self._memory = failsafe_state(self._memory, dt_ms, command_us, engage, self._pilot)
+
+    def _payload(self, frame: bytes) -> bytes | None:
+        """What a frame carries; None if it is damaged."""
+        pieces, at = [], 0
+        while at < len(frame):
+            end = at + frame[at]
+            if end > len(frame):
+                return None
+            pieces.append(frame[at + 1 : end])
+            at = end
+        content = b"\0".join(pieces)
+        payload, sent = content[:-2], content[-2:]
+        if not payload or crc16(payload) != int.from_bytes(sent, "little"):
+            return None
+        return payload
+        # END SOLUTION
+
+
+# %% check="TrainerBridge"
+check(TrainerBridge)
+
+# %% [markdown]
+# The six seconds once more, this time as bytes, in pieces of 1 to 9, with one bit in 300 flipped on the way. The
+# kit's `Deframer` and `Safety`, which speak with the real board, read the same bytes:
+
+# %%
+line = bytes_of_faults()
+mine, its = run_bridge(TrainerBridge, line), run_bridge(kit_bridge(), line)
+same = (mine["slots"] == its["slots"]).all(axis=1)
+print(
+    f"{sum(data is not None for _, data, _ in line)} pieces of bytes: your board sends what the "
+    f"kit's does in {same.sum()} of {len(same)} frames"
+)
+
+# %% [markdown]
 # ## 4. Can the picture be trusted?
 #
 # The policy flies by an analog video link. The paper (section III, *Safety Mechanisms*) warns the pilot when the
@@ -479,7 +624,7 @@ check_quiz(quiz)
 # ## What you can do now
 #
 # You wrote the path from a command to the pulses in the radio, the rules that take the aircraft away from a computer,
-# and an eye on the video. Run `falconwing fly --task landing --port sim-python --headless` to see the whole chain.
+# the board's whole program around them, and an eye on the video. Lab 13 flies through your `TrainerBridge`. Run `falconwing fly --task landing --port sim-python --headless` to see the whole chain.
 #
 # ## With hardware
 #

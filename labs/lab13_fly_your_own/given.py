@@ -26,7 +26,6 @@ IMAGE_EVERY = 2  # a picture every second step
 STEP_S, STEPS = 0.05, 240  # [s]; a flight ends after 12 s at the latest
 WIDTH, HEIGHT = 160, 120  # of the film [px]
 LENS = {"fx": 99.2, "fy": 99.2, "cx": 80.0, "cy": 60.0}  # [px], first pixel's centre at (0.5, 0.5)
-TILE = 8  # side of the tiles that are rendered one by one [px]
 GAUSSIANS = 10_000  # of the thinned hall
 BACKGROUND = np.array([0.55, 0.56, 0.58])
 BLUR_PX2 = 0.3
@@ -116,20 +115,12 @@ def camera_pose(parts: Any, state: Array) -> Array:
 def new_look(parts: Any, scene: Mapping[str, Array]) -> Callable[[Array], Array]:
     """A function that renders what the nose camera sees: state (9,) -> (H, W, 3) uint8.
 
-    Your lab 2 says where the camera is, your lab 3 draws, tile by tile: a splat enters only the
-    tiles that it can reach.
+    Your lab 2 says where the camera is, your lab 3 projects and draws, with your `render_tiles`.
 
     Args:
         parts: yours or the kit's.
         scene: means (N, 3) [m], covs (N, 3, 3) [m^2], opacities (N,), colours (N, 3).
     """
-    cut = lab_given(parts, "lab03").COHORT["cut_sigma"]
-    v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
-    tiles = [
-        (slice(a, a + TILE), slice(b, b + TILE))
-        for a in range(0, HEIGHT, TILE)
-        for b in range(0, WIDTH, TILE)
-    ]
 
     def look(state: Array) -> Array:
         T = camera_pose(parts, state) @ np.diag([1.0, -1.0, -1.0, 1.0])  # right, up, backwards
@@ -139,28 +130,10 @@ def new_look(parts: Any, scene: Mapping[str, Array]) -> Callable[[Array], Array]
         means, covs = means[seen], T[:3, :3].T @ scene["covs"][seen] @ T[:3, :3]
         means_px, covs_px = parts.renderer.project_gaussians(means, covs, LENS, BLUR_PX2)
         opacities, colours, depths = scene["opacities"][seen], scene["colours"][seen], -means[:, 2]
-        reach = cut * np.sqrt(np.diagonal(covs_px, axis1=1, axis2=2))  # of each splat's box [px]
-        low, high = means_px - reach, means_px + reach
-        image = np.empty((HEIGHT, WIDTH, 3))
-        for rows, columns in tiles:
-            near = np.flatnonzero(
-                (high[:, 0] > columns.start)
-                & (low[:, 0] < columns.stop)
-                & (high[:, 1] > rows.start)
-                & (low[:, 1] < rows.stop)
-            )
-            near = near[np.argsort(depths[near])][:1200]  # what lies behind them is hidden
-            pixels = np.stack([u[rows, columns], v[rows, columns]], axis=-1).reshape(-1, 2)
-            if len(near):
-                alphas = parts.renderer.splat_alphas(
-                    pixels, means_px[near], covs_px[near], opacities[near]
-                )
-                rgb = parts.renderer.alpha_composite(
-                    alphas, colours[near], depths[near], BACKGROUND
-                )[0]
-            else:
-                rgb = np.tile(BACKGROUND, (len(pixels), 1))
-            image[rows, columns] = rgb.reshape(TILE, TILE, 3)
+        shape = (HEIGHT, WIDTH)
+        image = parts.renderer.render_tiles(
+            means_px, covs_px, opacities, colours, depths, shape, BACKGROUND
+        )
         return np.round(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
 
     return look
@@ -317,18 +290,18 @@ class Pilot:
 class Board:
     """SIMULATED: from the pilot to the servos by your lab 10, with a bad contact.
 
-    A command becomes the edges of PPM frames, the edges become slots again, and the safety machine
-    decides whether they count. The pilot's sticks are near the command at first, so that it
-    engages.
+    A command becomes the edges of PPM frames and slots again, as the radio understands it, then
+    bytes on the serial line. Your `TrainerBridge` reads them and decides what goes to the radio:
+    two frames a step. The pilot's sticks are near the command at first, so that it engages.
 
     Args:
         parts: yours or the kit's.
         to_sticks: your `sticks_from_slots`.
-        lost: share of the steps in which no frame arrives.
+        lost: share of the steps in which a bit of the command is flipped.
         seed: of the bad contact.
 
     Attributes:
-        states: of the safety machine after each step.
+        states: of the board after each step.
     """
 
     def __init__(
@@ -336,27 +309,42 @@ class Board:
     ) -> None:
         self.parts, self.to_sticks, self.lost = parts, to_sticks, lost
         self.lab10, self._rng = lab_given(parts, "lab10"), np.random.default_rng(seed)
-        self._memory, self.states = self.lab10.switched_on(), []
+        self._bridge, self.states = parts.bridge.TrainerBridge(), []
+        self._t_ms, self._sequence = 0.0, 0
+        self._bridge.frame(0.0, None)
 
     def engage(self, command: Array) -> None:
         """Hand over to the host: a pilot holds the sticks where the first command wants them."""
         slots = self._slots(command)
         for engaged in [False] * 5 + [True] * 8:
-            self._memory = self.parts.bridge.failsafe_state(
-                self._memory, 22.0, slots, engaged, slots
-            )
+            self._bridge.frame(self._t_ms, slots)
+            self._send(slots, engaged)
+            self._t_ms += 22.0
 
     def carry(self, command: Array) -> Array | None:
         """What arrives at the servos (4,), or None where nothing does."""
-        slots = None if self._rng.random() < self.lost else self._slots(command)
-        self._memory = self.parts.bridge.failsafe_state(
-            self._memory, 1000.0 * STEP_S, slots, True, None
-        )
-        self.states.append(self._memory["state"])
-        if slots is None or self._memory["state"] != "ACTIVE":
+        self._send(self._slots(command), True, flip=bool(self._rng.random() < self.lost))
+        for part in (0.44, 0.88):
+            slots = self._bridge.frame(self._t_ms + part * 1000.0 * STEP_S, None)
+        self._t_ms += 1000.0 * STEP_S
+        self.states.append(self._bridge.state)
+        if self._bridge.state != "ACTIVE":
             return None
         lab10 = self.lab10
         return np.asarray(self.to_sticks(np.array(slots), "TAER", lab10.CENTRE_US, lab10.REACH_US))
+
+    def _send(self, slots: tuple[float, ...] | None, engage: bool, flip: bool = False) -> None:
+        """A command on the serial line, in two pieces; with a flipped bit the board drops it."""
+        from falconwing_kit.trainer_port import encode_channels
+
+        self._sequence += 1
+        if slots is None:
+            return
+        data = encode_channels(self._sequence, [round(us) for us in slots], engage)
+        if flip:
+            data = data[:5] + bytes([data[5] ^ 4]) + data[6:]
+        self._bridge.receive(data[:9], self._t_ms + 1.0)
+        self._bridge.receive(data[9:], self._t_ms + 2.0)
 
     def _slots(self, command: Array) -> tuple[float, ...] | None:
         """Slots [us] of a command after the wire, or None."""

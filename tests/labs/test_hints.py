@@ -268,6 +268,8 @@ def test_answers_that_are_drawn_at_random_are_called_nothing():
 def test_the_second_list_is_the_frozen_one_and_all_of_it_is_wrong():
     """Two or more ideas an exercise, none an edit of the solution; each loses points.
 
+    Exercises of free structure came later; their hints are the listed mistakes alone.
+
     The checksum is that of the commit that froze the list, before the library was written.
     """
     files = sorted((Path(__file__).parent / "rewritten").glob("*.py"))
@@ -276,7 +278,7 @@ def test_the_second_list_is_the_frozen_one_and_all_of_it_is_wrong():
     for folder in FOLDERS[:4]:
         here = LabHere(folder)
         cases = list(rewritten(here))
-        assert len(cases) >= 2 * len(here.lab.exercises)
+        assert len(cases) >= 2 * sum(not each.free for each in here.lab.exercises)
         for name, idea, _, function in cases:
             assert here.score(name, function) < 1.0, idea
 

@@ -96,19 +96,10 @@ class _Statement:
 
     @property
     def is_stub(self) -> bool:
-        """Whether it is an unwritten function: only a docstring and raise NotImplementedError."""
-        if not isinstance(self.node, ast.FunctionDef):
-            return False
-        body = [
-            each
-            for each in self.node.body
-            if not (isinstance(each, ast.Expr) and _is_constant(each.value))
-        ]
-        return (
-            len(body) == 1
-            and isinstance(body[0], ast.Raise)
-            and "NotImplementedError" in ast.dump(body[0])
-        )
+        """Whether it is unwritten: a function that only raises NotImplementedError, or a class
+        with only such methods; docstrings do not count.
+        """
+        return _is_unwritten(self.node)
 
 
 def read_notebook(path: str | Path) -> Notebook:
@@ -459,6 +450,23 @@ def _imported(node: ast.stmt) -> set[str]:
         elif isinstance(inner, ast.ImportFrom):
             modules.add((inner.module or ".").split(".")[0] if not inner.level else ".")
     return modules
+
+
+def _is_unwritten(node: ast.stmt) -> bool:
+    """Whether a definition is as it was handed out."""
+    if not isinstance(node, ast.FunctionDef | ast.ClassDef):
+        return False
+    body = [
+        each for each in node.body if not (isinstance(each, ast.Expr) and _is_constant(each.value))
+    ]
+    if isinstance(node, ast.ClassDef):
+        methods = [each for each in body if isinstance(each, ast.FunctionDef)]
+        return len(methods) == len(body) > 0 and all(map(_is_unwritten, methods))
+    return (
+        len(body) == 1
+        and isinstance(body[0], ast.Raise)
+        and "NotImplementedError" in ast.dump(body[0])
+    )
 
 
 def _is_constant(node: ast.expr) -> bool:

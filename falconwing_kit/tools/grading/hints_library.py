@@ -97,7 +97,7 @@ class ExerciseHere:
         self.definition = next(
             node
             for node in reversed(tree.body)
-            if isinstance(node, ast.FunctionDef) and node.name == exercise.name
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == exercise.name
         )
         self.namespace: dict[str, Any] = {"__name__": "notebook"}
         exec(compile(source, exercise.name, "exec"), self.namespace)
@@ -230,8 +230,9 @@ def exercise_record(
         if found:
             entries.append((candidate, found[0]))
             first_wrong[found[1]] = first_wrong.get(found[1], 0) + 1
-    probes = _probes(here.exercise, right)
-    named = [(each.trace, each.words) for each in _told_apart(entries, probes)]
+    probes = [] if here.exercise.free else _probes(here.exercise, right)
+    told = _told_apart(entries, probes, free=here.exercise.free)
+    named = [(each.trace, each.words) for each in told]
     return {
         "expected": _telling(expected, first_wrong),
         "trace": text,
@@ -246,8 +247,13 @@ def _is_of_any_course(here: ExerciseHere, expected: Recorder, shipped: Mapping[s
 
 
 def candidates(here: ExerciseHere, by_hand: Sequence[tuple[str, str, str]]) -> list[_Candidate]:
-    """All mistakes of an exercise: listed ones first, then mutations."""
+    """All mistakes of an exercise: listed ones first, then mutations of a function.
+
+    A free exercise has listed ones alone: nothing is known of the lines of another structure.
+    """
     found = [_Candidate(name, LISTED, "", here.edited(old, new), 0) for name, old, new in by_hand]
+    if here.exercise.free or not isinstance(here.definition, ast.FunctionDef):
+        return found
     for each in mistakes_of(here.definition):
         with suppress(SyntaxError):
             rank = 2 if any(words in each.name for words in _UNLIKELY) else 1
@@ -335,8 +341,14 @@ def _differs(text: str, trace: tuple[Mark, ...]) -> bool:
     return False
 
 
-def _told_apart(entries: list[tuple[_Candidate, Entry]], probes: list[Any]) -> list[Entry]:
-    """One entry for each trace: mistakes that give the same are named as the module says."""
+def _told_apart(
+    entries: list[tuple[_Candidate, Entry]], probes: list[Any], *, free: bool = False
+) -> list[Entry]:
+    """One entry for each trace: mistakes that give the same are named as the module says.
+
+    Those of a free exercise are different mistakes by their list, whatever they give on arguments
+    nearby: few are named together, many are left out.
+    """
     groups: dict[str, list[tuple[_Candidate, Entry]]] = {}
     for candidate, entry in entries:
         groups.setdefault(_bucket(entry.trace), []).append((candidate, entry))
@@ -346,7 +358,7 @@ def _told_apart(entries: list[tuple[_Candidate, Entry]], probes: list[Any]) -> l
         for candidate, entry in members:
             marks = _marks(candidate.function, probes) if len(members) > 1 else []
             for known, alike in functions:
-                if all(a.agrees(b) for a, b in zip(known, marks, strict=True)):
+                if not free and all(a.agrees(b) for a, b in zip(known, marks, strict=True)):
                     alike.append((candidate, entry))
                     break
             else:

@@ -50,18 +50,20 @@ class Check:
 
 @dataclass(frozen=True)
 class Exercise:
-    """One function that a student writes.
+    """One function or class that a student writes.
 
     Attributes:
-        name: of the function.
+        name: of the function or class.
         points: given automatically.
         checks: public ones.
         through: wrapper in the lab's `given.py`, called with the student's function and the
             arguments; for functions whose arguments cannot be sent to the sandbox, such as a
-            network. Empty: called directly.
+            network, and for classes, whose objects stay there. Empty: called directly.
         seconds: time limit of all hidden cases together [s].
         nearby: ask a wrong function on arguments near those of the checks too, for the hints; not
             where such arguments have no answer and a right function might never end.
+        free: 30 to 80 lines of the student's own structure, of which only the behaviour is known:
+            the hints name the listed mistakes alone, and no changes of the kit's lines.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Exercise:
     through: str = ""
     seconds: float = 10.0
     nearby: bool = True
+    free: bool = False
 
 
 @dataclass(frozen=True)

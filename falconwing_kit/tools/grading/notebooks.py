@@ -122,9 +122,11 @@ def _cell(source: Path, cell: Any) -> SourceCell:
             "else"
         )
     if kinds == ["exercise"] and not re.search(
-        rf"^def {re.escape(name)}\(", cell.source, re.MULTILINE
+        rf"^(?:def {re.escape(name)}\(|class {re.escape(name)}\b)", cell.source, re.MULTILINE
     ):
-        raise InputError(f"{where}: expected the function {name} in the exercise of that name")
+        raise InputError(
+            f"{where}: expected the function or class {name} in the exercise of that name"
+        )
     return SourceCell(
         text=_FOR_THE_FORMATTER.sub("", cell.source),
         markdown=markdown,

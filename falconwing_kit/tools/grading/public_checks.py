@@ -365,7 +365,7 @@ def to_printable(text: str) -> str:
 
 
 def foreign_modules(function: Function, packages: Iterable[str]) -> set[str]:
-    """Modules that a function uses, directly or through helpers, and that the grader lacks.
+    """Modules that a function or class uses, directly or by helpers, and that the grader lacks.
 
     Args:
         packages: available to the grader, beside the standard library and `given`.
@@ -373,17 +373,35 @@ def foreign_modules(function: Function, packages: Iterable[str]) -> set[str]:
     allowed = {*packages, "given", function.__module__, *sys.stdlib_module_names}
     used: set[str] = set()
     seen: set[int] = set()
-    waiting = [function]
+    waiting: list[Any] = [function]
     while waiting:
-        code = getattr(waiting.pop(), "__code__", None)
+        one = waiting.pop()
+        if isinstance(one, type) and id(one) not in seen:
+            seen.add(id(one))
+            waiting += list(_methods(one))
+        code = getattr(one, "__code__", None)
         if code is None or id(code) in seen:
             continue
         seen.add(id(code))
-        for name, value in _named_modules(code, function.__globals__):
+        for name, value in _named_modules(code, one.__globals__):
             used.add(name)
-            if isinstance(value, types.FunctionType) and value.__module__ == function.__module__:
+            if (
+                isinstance(value, types.FunctionType | type)
+                and value.__module__ == function.__module__
+            ):
                 waiting.append(value)
     return {name for name in used if name.split(".")[0] not in allowed}
+
+
+def _methods(written: type) -> Iterator[Any]:
+    """Functions of a class: methods, properties, static and class methods, classes inside; and
+    the classes of the same notebook that it extends.
+    """
+    yield from (base for base in written.__bases__ if base.__module__ == written.__module__)
+    for value in vars(written).values():
+        for name in ("__func__", "fget", "fset"):
+            value = getattr(value, name, None) or value
+        yield value
 
 
 def _named_modules(code: types.CodeType, around: dict[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -460,8 +478,8 @@ def check_notebook(folder: Path, notebook: Path) -> list[ExerciseReport]:
 
 
 def _defines(text: str, name: str) -> bool:
-    """Whether a cell that is not Python was to define a function."""
-    return re.search(rf"^def[ \t]+{re.escape(name)}\b", text, re.MULTILINE) is not None
+    """Whether a cell that is not Python was to define a function or class."""
+    return re.search(rf"^(?:def|class)[ \t]+{re.escape(name)}\b", text, re.MULTILINE) is not None
 
 
 class _Functions:

@@ -84,4 +84,53 @@ MUTANTS = {
         ("zero for never", "np.nan", "0.0"),
         ("a share of its own", 'COHORT["surface_share"]', "0.8"),
     ),
+    "render_tiles": (
+        ("far splats before near ones", "np.argsort(depths)", "np.argsort(-depths)"),
+        ("not sorted", "np.argsort(depths)", "np.arange(len(depths))"),
+        (
+            "colours not sorted",
+            "colours = means_px[order], covs_px[order], colours[order]",
+            "colours = means_px[order], covs_px[order], colours",
+        ),
+        ("opacities not sorted", "opacities[order], np.linalg", "opacities, np.linalg"),
+        (
+            "variance for its root",
+            "cut * np.sqrt(np.stack([covs[:, 0, 0], covs[:, 1, 1]], axis=1))",
+            "0.2 * cut * np.stack([covs[:, 0, 0], covs[:, 1, 1]], axis=1)",
+        ),
+        ("boxes of one standard deviation", "reach = cut * np.sqrt", "reach = np.sqrt"),
+        (
+            "reach along u and v mixed up",
+            "[covs[:, 0, 0], covs[:, 1, 1]]",
+            "[covs[:, 1, 1], covs[:, 0, 0]]",
+        ),
+        (
+            "splats by their means alone",
+            "low, high = means - reach, means + reach",
+            "low, high = means, means",
+        ),
+        (
+            "rows and columns mixed up in the boxes",
+            "(high[:, 0] >= first) & (low[:, 0] <= last)",
+            "(high[:, 1] >= first) & (low[:, 1] <= last)",
+        ),
+        (
+            "centres of pixels at whole numbers",
+            "np.arange(first, last) + 0.5, np.arange(top, bottom) + 0.5",
+            "np.arange(first, last) + 0.0, np.arange(top, bottom) + 0.0",
+        ),
+        (
+            "the light begins anew with every batch",
+            "left = light[..., None] * np.cumprod",
+            "left = np.cumprod",
+        ),
+        ("a splat dims its own light", "(alphas * arriving) @", "(alphas * left) @"),
+        ("no background", " + light[..., None] * background", ""),
+        ("stops too early", "light.max() < 0.001", "light.max() < 0.3"),
+        ("stops where one pixel is full", "light.max() < 0.001", "light.min() < 0.001"),
+        ("no cut", "np.where(squares <= cut**2, alphas, 0.0)", "alphas"),
+        ("slant forgotten", " + 2.0 * b * du * dv", ""),
+        ("slant once", "2.0 * b * du * dv", "b * du * dv"),
+        ("square of the exponent forgotten", "-0.5 * squares", "-0.5 * np.sqrt(squares)"),
+    ),
 }

@@ -118,4 +118,60 @@ MUTANTS = {
             "distance * math.sin(GLIDE) - height",
         ),
     ),
+    "LandingExpert": (
+        (
+            "never turns round",
+            'p[0] < -13.0:\n            self.mode = "turn"',
+            "False:\n            pass",
+        ),
+        ("turns too late", "p[0] < -13.0", "p[0] < -19.0"),
+        ("turns at once", "p[0] < -13.0", "True"),
+        (
+            "always turns to the right",
+            "1.0 if p[1] < AIM[1] else -1.0  #",
+            "1.0  #",
+        ),
+        (
+            "turns towards the wall",
+            "1.0 if p[1] < AIM[1] else -1.0  #",
+            "-1.0 if p[1] < AIM[1] else 1.0  #",
+        ),
+        ("never leaves the turn", "v[1] * self.turn > 0.4 * abs(v[0])", "False"),
+        ("straight to the line, whichever way", '"away" if v[0] < 0.0 else "final"', '"final"'),
+        ("begins every landing with a way out", '"away" if v[0] < 0.0 else "final"', '"away"'),
+        (
+            "the line of the landing reversed",
+            "guidance(p[:2], v[:2], AIM - (40.0, 0.0), AIM, limit)",
+            "guidance(p[:2], v[:2], AIM, AIM - (40.0, 0.0), limit)",
+        ),
+        (
+            "lands on the wall's side of the line",
+            "AIM - (40.0, 0.0), AIM, limit)",
+            "AIM - (40.0, 3.0), AIM - (0.0, 3.0), limit)",
+        ),
+        (
+            "height of the floor in place of the pad",
+            "p[2] - PAD_HEIGHT - WHEELS_BELOW",
+            "p[2]",
+        ),
+        ("the way to the aim has the wrong sign", "AIM[0] + 2.0 - p[0]", "p[0] - AIM[0] - 2.0"),
+        (
+            "never flares",
+            "return climb_rate, GLIDE_THROTTLE",
+            "return min(climb_rate, -0.75), GLIDE_THROTTLE",
+        ),
+        ("stays at its height", 'if self.mode != "final":', "if True:"),
+        ("the motor is never idle", "0.0 if self.idle else throttle", "throttle"),
+        ("the motor is always idle", "0.0 if self.idle else throttle", "0.0"),
+        (
+            "reset keeps the mode",
+            'self.mode, self.integral, self.idle = "begin", 0.0, False',
+            'self.mode, self.integral, self.idle = getattr(self, "mode", "begin"), 0.0, False',
+        ),
+        (
+            "reset keeps the motor idle",
+            'self.integral, self.idle = "begin", 0.0, False',
+            'self.integral, self.idle = "begin", 0.0, getattr(self, "idle", False)',
+        ),
+    ),
 }

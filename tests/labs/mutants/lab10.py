@@ -130,6 +130,93 @@ MUTANTS = {
             'age_ms=memory["age_ms"] + 22.0',
         ),
     ),
+    "TrainerBridge": (
+        ("checksum not compared", 'crc16(payload) != int.from_bytes(sent, "little")', "False"),
+        (
+            "checksum's high byte first",
+            'int.from_bytes(sent, "little")',
+            'int.from_bytes(sent, "big")',
+        ),
+        ("checksum of the whole frame", "crc16(payload) !=", "crc16(content) !="),
+        ("rest of a piece forgotten", "self._part = part[: MAX_FRAME + 1]", 'self._part = b""'),
+        ("only the first frame of a piece", "for frame in frames:", "for frame in frames[:1]:"),
+        ("zeros not put back", 'b"\\0".join(pieces)', 'b"".join(pieces)'),
+        (
+            "a zero behind the last piece too",
+            'content = b"\\0".join(pieces)',
+            'content = b"".join(piece + b"\\0" for piece in pieces)',
+        ),
+        ("any type is a command", "payload[0] == COMMAND and ", ""),
+        ("longer payloads are taken", "len(payload) == 12", "len(payload) >= 12"),
+        (
+            "slots' high byte first",
+            "payload[i] + 256 * payload[i + 1]",
+            "256 * payload[i] + payload[i + 1]",
+        ),
+        ("all flags are engage", "bool(payload[3] & 1)", "bool(payload[3])"),
+        (
+            "range not checked",
+            "if not all(RANGE_US[0] <= us <= RANGE_US[1] for us in slots):",
+            "if False:",
+        ),
+        (
+            "range of the radio in place of the commands'",
+            "RANGE_US[0] <= us <= RANGE_US[1]",
+            "LIMITS_US[0] <= us <= LIMITS_US[1]",
+        ),
+        (
+            "a command out of range sets the sequence",
+            "for us in slots):\n            return",
+            "for us in slots):\n            self._sequence = sequence\n            return",
+        ),
+        (
+            "a command out of range keeps the host alive",
+            "for us in slots):\n            return",
+            "for us in slots):\n            self._memory = {**self._memory, 'age_ms': 0.0}\n"
+            "            return",
+        ),
+        (
+            "sequence not checked",
+            "if self._sequence is not None and not 1",
+            "if False and self._sequence is not None and not 1",
+        ),
+        (
+            "sequence does not wrap",
+            "(sequence - self._sequence) % 65536",
+            "sequence - self._sequence",
+        ),
+        ("the same sequence is new", "and not 1 <= (sequence", "and not 0 <= (sequence"),
+        ("old sequences are new", "% 65536 <= 32767", "% 65536 <= 65535"),
+        ("only the next sequence is new", "% 65536 <= 32767", "% 65536 <= 1"),
+        ("no limit of speed", "np.clip(cut, low, high)", "cut"),
+        ("slots not cut", "np.clip(self._command, *LIMITS_US)", "np.array(self._command)"),
+        (
+            "SAFE is approached slowly",
+            '!= "ACTIVE":\n            self._slots = SAFE_US',
+            '!= "ACTIVE":\n            old = np.array(self._slots)\n'
+            "            near = np.clip(SAFE_US, old - SLEW_US, old + SLEW_US)\n"
+            "            self._slots = tuple(float(us) for us in near)",
+        ),
+        (
+            "the command is sent in every state",
+            'if self.state != "ACTIVE":',
+            'if self.state == "LOST":',
+        ),
+        ("a frame is no step", "self._step(t_ms, None, False)", "pass"),
+        ("every step is 22 ms", "t_ms - self._t_ms, t_ms", "22.0, t_ms"),
+        ("time since the start for each step", "t_ms - self._t_ms, t_ms", "t_ms, t_ms"),
+        ("pilot's sticks not passed on", "engage, self._pilot)", "engage, None)"),
+        (
+            "pilot's sticks kept when no longer measured",
+            "self._pilot = pilot_us",
+            "self._pilot = pilot_us or self._pilot",
+        ),
+        (
+            "slots chosen before the pilot is asked",
+            "self._step(t_ms, None, False)\n        if self.state",
+            "before = self.state\n        self._step(t_ms, None, False)\n        if before",
+        ),
+    ),
     "ssim_monitor": (
         ("8-bit arithmetic", "images.astype(float)", "images"),
         ("sample variance", "blocks.var(axis=(2, 4))", "blocks.var(axis=(2, 4), ddof=1)"),

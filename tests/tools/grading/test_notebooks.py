@@ -116,7 +116,7 @@ def test_stale_notebooks_are_told_and_mended(folder):
             'figure="line"\n# BEGIN SOLUTION\n# END SOLUTION\n',
             "once in an exercise and nowhere else",
         ),
-        ("def weight", "def heaviness", "expected the function weight"),
+        ("def weight", "def heaviness", "expected the function or class weight"),
         ('figure="line"', 'exercise="weight"', "once in an exercise"),
         ('check="weight"', 'figure="line"', "got twice: figure line"),
         ('[markdown] answer="q1"', 'answer="q1"', "answers alone in markdown"),

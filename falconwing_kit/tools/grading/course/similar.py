@@ -109,7 +109,7 @@ def _tokens(tree: ast.AST) -> Iterator[str]:
     waiting: list[ast.AST] = [tree]
     while waiting:
         node = waiting.pop()
-        if isinstance(node, ast.FunctionDef | ast.Module):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module):
             inside: list[ast.AST] = [each for each in node.body if not _is_text(each)]
             yield "function"
         else:

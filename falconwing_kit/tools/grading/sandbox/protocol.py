@@ -45,11 +45,12 @@ def write_frame(stream: BinaryIO, value: Any) -> None:
     stream.flush()
 
 
-def read_frame(stream: BinaryIO) -> Any:
+def read_frame(stream: BinaryIO, longest: int = MAX_TEXT) -> Any:
     """Receive a value; at most MAX_HEADER + MAX_BODY bytes are read for it.
 
     Args:
         stream: open for reading bytes; a read of n bytes gives fewer only at the end.
+        longest: text that is accepted; the source of a function may be longer than any answer.
 
     Raises:
         FrameError: the bytes are not a frame, or too large.
@@ -59,7 +60,7 @@ def read_frame(stream: BinaryIO) -> Any:
     if mark != _MARK or header_length > MAX_HEADER or body_length > MAX_BODY:
         raise FrameError("expected the beginning of a frame, got other bytes or too large a frame")
     header = _read_exactly(stream, header_length)
-    return unpack(header, _read_exactly(stream, body_length))
+    return unpack(header, _read_exactly(stream, body_length), longest)
 
 
 def pack(value: Any) -> bytes:
@@ -75,13 +76,13 @@ def pack(value: Any) -> bytes:
     return _HEAD.pack(_MARK, len(header), len(body)) + header + body
 
 
-def unpack(header: bytes, body: bytes) -> Any:
-    """The value of a frame's header and body.
+def unpack(header: bytes, body: bytes, longest: int = MAX_TEXT) -> Any:
+    """The value of a frame's header and body; no text in it is longer than `longest`.
 
     Raises:
         FrameError: they are not output of `pack`.
     """
-    reader = _Reader(body)
+    reader = _Reader(body, longest)
     try:
         value = reader.value(json.loads(header.decode("ascii")), 0)
     except FrameError:
@@ -128,8 +129,8 @@ def _plain(value: Any, arrays: list[bytes], depth: int) -> Any:
 class _Reader:
     """Converts a header's JSON back into values, with limits."""
 
-    def __init__(self, body: bytes) -> None:
-        self.body, self.at, self.items = body, 0, 0
+    def __init__(self, body: bytes, longest: int) -> None:
+        self.body, self.at, self.items, self.longest = body, 0, 0, longest
 
     def value(self, node: Any, depth: int) -> Any:
         """The value of a node of the header."""
@@ -146,7 +147,7 @@ class _Reader:
             or isinstance(node, bool | float | str)
             or (type(node) is int and abs(node) < _INT_LIMIT)
         )
-        if not fits or (isinstance(node, str) and len(node) > MAX_TEXT):
+        if not fits or (isinstance(node, str) and len(node) > self.longest):
             raise FrameError("expected a shorter number or text, or a value of another kind")
         return node
 

@@ -45,7 +45,7 @@ def main() -> None:
 
 def _next(protocol: Any, requests: BinaryIO) -> dict[str, Any] | None:
     try:
-        request: dict[str, Any] = protocol.read_frame(requests)
+        request: dict[str, Any] = protocol.read_frame(requests, protocol.MAX_HEADER)
         return request
     except EOFError:
         return None
