@@ -35,6 +35,16 @@ from falconwing_kit.tools.grading import check
 
 print("your course:", COHORT)
 
+# %%
+from falconwing_kit.tools.grading import keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+given.moving_circles()
+
+# %% [markdown]
+# *In words: from above, a hall 20 m wide. The 150 g aircraft turns on a circle that stays 1.3 m inside both walls; the heavier
+# one is faster, turns wider, and after 2.9 s it is at the opposite wall.*
+
 # %% [markdown]
 # ## 1 The mass budget
 # The paper lists an airframe of 137 g, a camera of 9 g and a bracket of 5 g. It also lists a receiver of 13.5 g, but

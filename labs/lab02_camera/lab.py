@@ -26,6 +26,17 @@ views, lens, tilt, p_body_camera = given.load_views()
 print("your course:", COHORT)
 print("the lens:", lens)
 
+# %%
+from falconwing_kit.tools.grading import keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+given.moving_attitude()
+
+# %% [markdown]
+# *In words: left, an aircraft seen from behind with its three body axes; right, the hall through its camera: floor, end wall,
+# pad and marker as lines. When the nose goes right the picture goes left, when the nose goes up the picture goes down,
+# and when the right wing drops the picture turns to the left.*
+
 # %% [markdown]
 # ## Three frames
 #

@@ -30,6 +30,16 @@ print("your course:", COHORT)
 for name, array in scene.items():
     print(f"{name:>16}: {array.shape}")
 
+# %%
+from falconwing_kit.tools.grading import keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+given.moving_orbit()
+
+# %% [markdown]
+# *In words: the hall that you will draw, in a film of the kit's: soft spots of colour make a floor, two walls, a blue pad, a
+# marker and an aircraft. The camera swings to the left and to the right; what is near moves more.*
+
 # %% [markdown]
 # ## 1 The shape of a Gaussian
 # A Gaussian with mean $\mu$ and covariance $\Sigma$ weighs a point $p$ with

@@ -28,12 +28,20 @@ from given import (
     K,
     body_rates,
     hall_axes,
+    moving_wind,
     pilot,
     rotation_world_body,
     vertical_flight,
 )
 
-from falconwing_kit.tools.grading import check
+from falconwing_kit.tools.grading import check, keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+moving_wind()
+
+# %% [markdown]
+# *In words: from above, a hall in which the air drifts to the left; dots drift with it, and so does a dotted circle. The
+# aircraft flies round this circle. Its track over the ground is no circle, and after one round it is beyond the wall.*
 
 # %% [markdown]
 # ## 1. What the aircraft feels: the air

@@ -238,3 +238,39 @@ def draw_hall(p_world: np.ndarray, placed: dict[str, np.ndarray]) -> None:
     )
     bars.set_yticklabels(names)
     bars.legend(loc="lower right", fontsize="small")
+
+
+def moving_photos() -> Any:
+    """A film: every photo that shows the marker, from the farthest to the nearest."""
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.tools.grading import moving_figure
+
+    photos = read_photos()
+    places = photos["p_world"][photos["shows"]]
+    distance = np.linalg.norm(places - T_WORLD_MARKER[:3, 3], axis=1)
+    order = np.argsort(-distance)
+    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
+    above, seen = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+    above.plot([-22.5, 17.5, 17.5, -22.5, -22.5], [-12, -12, 8, 8, -12], color="black", lw=1)
+    above.plot([0.0, 0.0], [-0.4, 0.4], color=GREEN, linewidth=5, label="marker")
+    above.plot(*places[:, :2].T, ".", color="0.7", label="photos that show it")
+    here = above.plot([], [], "o-", color=ORANGE, markevery=[0], label="this photo")[0]
+    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    above.legend(fontsize=7, loc="lower right")
+    square = seen.fill([0], [0], facecolor=BLUE, edgecolor="black")[0]
+    seen.set(xlim=(0, 640), ylim=(480, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
+
+    def draw(number: int) -> None:
+        photo = order[number]
+        corners = photos["corners_px"][photo]
+        here.set_data([places[photo, 0], 0.0], [places[photo, 1], 0.0])
+        square.set_xy(corners)
+        side = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max()
+        above.set_title(f"taken {distance[photo]:.1f} m away (path-traced)", fontsize=9)
+        seen.set_title(f"the marker's longest side: {side:.0f} px", fontsize=9)
+
+    words = (
+        "Photo by photo nearer to the marker; its square grows from some 17 to more than 100 px."
+    )
+    return moving_figure(figure, draw, len(order), 0.15, words)

@@ -37,6 +37,18 @@ from falconwing_kit.tools.grading import check
 
 print("your course:", COHORT)
 
+# %%
+from given import moving_landing
+
+from falconwing_kit.tools.grading import keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+moving_landing()
+
+# %% [markdown]
+# *In words: the kit's expert, from the side and from above. It begins 2 m to the left of the pad's centre line, turns onto
+# it, comes down on a straight slope, and bends it just above the pad.*
+
 # %% [markdown]
 # **World axes**: x along the runway, y left, z up. **Signs**: roll (bank) positive with the right wing down, pitch
 # positive nose up, yaw and course positive to the *right*. So a course of 0 flies along +x, and 90° flies along -y.

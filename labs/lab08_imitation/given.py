@@ -338,3 +338,42 @@ def plot_drift(tracks: Mapping[str, list[Array]], results: Mapping[str, Mapping[
             ylim=(-6.5, 6.5),
         )
     np.atleast_1d(row)[0].set_ylabel("right of the line  -  offset [m]  -  left")
+
+
+def moving_flight(kind: str, number: int = 0) -> Any:
+    """A film of one shipped flight: the picture, the offset, and the expert's aileron.
+
+    Args:
+        kind: as for `load_flights`.
+        number: of the flight.
+    """
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.tools.grading import moving_figure
+
+    data = load_flights(kind)
+    first, last = (*data["starts"], len(data["offset"]))[number : number + 2]
+    rows = slice(first, last)
+    t = STEP_S * np.arange(last - first)
+    figure = Figure(figsize=(8.4, 3.2), layout="constrained")
+    picture, right = figure.subfigures(1, 2)
+    eye = picture.subplots()
+    shown = eye.imshow(data["images"][first])
+    eye.axis("off")
+    place, stick = right.subplots(2, 1, sharex=True)
+    place.axhspan(-PAD_HALF, PAD_HALF, color="0.9")
+    line = place.plot([], [], color=BLUE)[0]
+    flown = stick.plot([], [], color=ORANGE, ls="--", label="flown")[0]
+    own = stick.plot([], [], color=GREEN, label="expert")[0]
+    place.set(ylabel="offset [m]", ylim=(-1.5, 1.5), xlim=(0.0, t[-1]))
+    stick.set(ylabel="aileron [-]", ylim=(-1.05, 1.05), xlabel="time [s]")
+    stick.legend(fontsize=7, loc="lower right")
+
+    def draw(frame: int) -> None:
+        shown.set_data(data["images"][first + frame])
+        eye.set_title(f"what the network sees, {t[frame]:.1f} s (simulated)", fontsize=9)
+        for curve, name in ((line, "offset"), (flown, "flown"), (own, "expert")):
+            curve.set_data(t[: frame + 1], data[name][rows][: frame + 1])
+
+    words = "A landing through 40 x 30 pixels; the blue pad grows while the offset goes to zero."
+    return moving_figure(figure, draw, last - first, STEP_S, words)

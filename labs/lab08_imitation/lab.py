@@ -40,6 +40,19 @@ print(
     f"This course: a full turn weighs {1 + TURN_WEIGHT:g} times as much as straight flight, clip at {CLIP_NORM:g}"
 )
 
+# %%
+from given import moving_flight
+
+from falconwing_kit.tools.grading import keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+moving_flight("noisy")
+
+# %% [markdown]
+# *In words: left, the film of one flight in 40 x 30 large pixels, in which a blue pad grows until it fills the lower half. Right,
+# the offset, which stays below half a metre, and the aileron: the flown one swings, since noise was added, the expert's
+# is smooth and leads back.*
+
 # %% [markdown]
 # ## The task
 #

@@ -126,3 +126,37 @@ def draw_landings(
         yticks=[],
         ylim=(len(intervals) - 0.5, -0.5),
     )
+
+
+def moving_tens(rate: float = 0.8) -> Any:
+    """A film: ten landings again and again by a pilot of known rate, and what is counted.
+
+    SIMULATED by drawing lots: each landing succeeds with the probability `rate`.
+    """
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.tools.grading import moving_figure
+
+    landed = np.random.default_rng(11).random((60, 10)) < rate
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    ten, all_of_them = figure.subplots(2, 1, height_ratios=(1.0, 3.0))
+    ten.set(xlim=(0.3, 10.7), ylim=(-1.0, 1.0), yticks=[], xticks=range(1, 11))
+    good = ten.plot([], [], "o", color=BLUE, markersize=14)[0]
+    bad = ten.plot([], [], "x", color=ORANGE, markersize=14, markeredgewidth=3)[0]
+    bars = all_of_them.bar(range(11), np.zeros(11), color=BLUE)
+    all_of_them.set(xlabel="landed of ten", ylabel="how often", ylim=(0, 22), xticks=range(11))
+
+    def draw(number: int) -> None:
+        now, run = landed[number], np.arange(1, 11)
+        good.set_data(run[now], np.zeros(now.sum()))
+        bad.set_data(run[~now], np.zeros((~now).sum()))
+        counts = np.bincount(landed[: number + 1].sum(axis=1), minlength=11)
+        for each, (bar, count) in enumerate(zip(bars, counts, strict=True)):
+            bar.set_height(count)
+            bar.set_color(ORANGE if each == now.sum() else BLUE)
+        ten.set_title(
+            f"Always the same pilot, who lands {rate:.0%}: this time {now.sum()} of 10", fontsize=10
+        )
+
+    words = "Rows of ten marks change; bars below grow to a hill from 5 to 10, highest near 8."
+    return moving_figure(figure, draw, len(landed), 0.3, words)

@@ -38,6 +38,18 @@ table = read_paper()
 for name, column in table.items():
     print(f"{name:>15}", column)
 
+# %%
+from given import moving_tens
+
+from falconwing_kit.tools.grading import keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+moving_tens()
+
+# %% [markdown]
+# *In words: above, ten marks, dots for landings and crosses for failures, drawn anew sixty times for the same pilot. Below,
+# bars count how many of the ten landed: mostly 7 to 9, sometimes 5, sometimes all ten.*
+
 # %% [markdown]
 # Each row of the paper's table is one start. The expert (which uses the state) and the vision pilot flew it in
 # simulation, the vision pilot in the hall as well. The number is the **absolute lateral deviation** (ALD): how far from

@@ -49,6 +49,18 @@ folder = Path("data/mine") if Path("data/mine/flight.csv").exists() else Path("d
 calm_table, table = (read_flight_table(folder / name) for name in ("calm.csv", "flight.csv"))
 print(f"{folder}: baseline {calm_table.duration:.0f} s, flight under test {table.duration:.0f} s")
 
+# %%
+from given import moving_flights
+
+from falconwing_kit.tools.grading import keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+moving_flights(folder)
+
+# %% [markdown]
+# *In words: left, two aircraft circle in the hall on tracks of their own, one dashed (baseline), one solid (under test); right,
+# their heights, with a spike where a frame was bad. Whether anything is different cannot be seen by eye.*
+
 # %% [markdown]
 # ## 1. The nominal model
 # The kit identifies the baseline flight as you did in lab 5, in three dimensions with 29 parameters. Then the flight

@@ -14,7 +14,14 @@ from falconwing_kit.tools.grading.lab import (
     is_same_answer,
 )
 from falconwing_kit.tools.grading.mine import load_parts
+from falconwing_kit.tools.grading.moving import (
+    moving_figure,
+    moving_pictures,
+    plan_view,
+    side_view,
+)
 from falconwing_kit.tools.grading.public_checks import check
+from falconwing_kit.tools.grading.stopped import keep_going
 
 __all__ = [
     "Check",
@@ -29,5 +36,10 @@ __all__ = [
     "check",
     "is_close",
     "is_same_answer",
+    "keep_going",
     "load_parts",
+    "moving_figure",
+    "moving_pictures",
+    "plan_view",
+    "side_view",
 ]
