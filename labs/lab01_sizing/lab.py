@@ -2,6 +2,10 @@
 # # Lab 1: Sizing
 # **How light must an aircraft be to fly in a hall?**
 #
+# ![Turn radius over mass: three lines rise; most lie above half of the hall's width, a dashed one crosses it at 171 g](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # FalconWing weighs 150 g, and its computer stays on the ground. This lab shows why: weight sets the speed, speed sets
 # the turn, and the turn must fit between two walls.
 #

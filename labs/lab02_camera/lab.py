@@ -2,6 +2,10 @@
 # # Lab 2: Frames and camera
 # **One aircraft, three conventions, and where a point of the hall appears in the picture.**
 #
+# ![Two views of a hall with the outlines of pad and marker drawn exactly over them, and a map of what each view shows](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # The autopilot logs its attitude against north, east and down. You think on a map: right, along the runway, up. The
 # camera counts right, down, forward, and its picture counts pixels. Every sign you get wrong here comes back later as
 # an aircraft that turns away from the runway.

@@ -2,6 +2,10 @@
 # # Lab 3: Splat renderer
 # **From clouds of colour to a picture, in four functions.**
 #
+# ![A hall drawn from Gaussians, the same one drawn by the kit, and their small difference](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # The simulator's hall is not made of triangles. It is made of Gaussians: soft ellipsoids, each with a place, a shape, a
 # colour and an opacity. A camera sees each one as a soft ellipse, a *splat*. Laid over each other in the right order,
 # they make the picture. The kit does this with 100 000 of them twenty times a second; you do it with 730, slowly.

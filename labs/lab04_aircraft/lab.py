@@ -1,6 +1,10 @@
 # %% [markdown]
 # # Lab 4: the aircraft model
 #
+# ![A turn from above that lies on its circle in still air and drifts out of the hall in wind; height, speed and bank over time](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # In this lab you write the model that the rest of the course flies: a state of nine numbers (position, attitude and
 # velocity), and the physics that advances it by one twentieth of a second.
 #

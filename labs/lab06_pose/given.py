@@ -84,7 +84,10 @@ def homography(xy: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def polish(
-    T_marker_camera: np.ndarray, corners_px: np.ndarray, size: float = MARKER_SIZE
+    T_marker_camera: np.ndarray,
+    corners_px: np.ndarray,
+    size: float = MARKER_SIZE,
+    parts: Any = None,
 ) -> np.ndarray:
     """Refine a camera pose by Gauss-Newton on the marker's corner pixels.
 
@@ -92,6 +95,7 @@ def polish(
         T_marker_camera: (4, 4) a rough pose.
         corners_px: (4, 2) found.
         size: of the marker [m].
+        parts: whose lab 2 projects the corners; None for the two lines below.
 
     Returns:
         T_marker_camera (4, 4), a better one.
@@ -104,7 +108,12 @@ def polish(
         T[:3, 3] += T[:3, :3] @ step[3:]
         return T
 
+    lens = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2] + 0.5, "cy": K[1, 2] + 0.5, "k1": 0.0}
+
     def miss(T: np.ndarray) -> np.ndarray:
+        if parts is not None:  # lab 2 counts the first pixel's centre as (0, 0), as OpenCV does
+            p_camera = parts.camera.map_to_camera(p_marker, T)
+            return np.asarray(parts.camera.project_points(p_camera, lens)) - corners_px
         p_camera = (p_marker - T[:3, 3]) @ T[:3, :3]
         return (p_camera @ K.T)[:, :2] / p_camera[:, 2:] - corners_px
 

@@ -2,6 +2,10 @@
 # # Lab 7: The expert
 # **How does an aircraft follow a line, turn without slipping, and touch down softly?**
 #
+# ![A circuit in the hall from above with its bank, stall margin and commands over time](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # The paper's vision pilots learn by imitation of an *expert*, a controller with access to the state. In this lab you
 # write one. It flies the kit's simulated aircraft, with noisy measurements, 20 commands a second
 # and a delay, as in the hall.

@@ -1,6 +1,10 @@
 # %% [markdown]
 # # Lab 9: masks and randomisation
 #
+# ![Views towards windows with what two networks mark: the upper one also marks windows, the lower one the aircraft](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # A network that flies by the whole picture also learns the hall: posters, floor, light. In another part of the hall
 # it is lost. The paper's answer is to split the work (paper, section V): a first network marks the pixels of the
 # leading aircraft, a second one steers by this *mask* alone. That works until the first network takes a window for an

@@ -1,6 +1,10 @@
 # %% [markdown]
 # # Lab 10: the trainer port
 #
+# ![Who flies, over six seconds: the state goes between SAFE, ACTIVE and LOST as commands come and fail](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # A computer flies, but a person is responsible. Between the two sits a small board: it takes the computer's commands
 # from a USB cable and gives them to the transmitter's *trainer port*. The pilot's transmitter sends them on to the
 # aircraft (paper, section III). In this lab you write the board's three duties, and the computer's check of

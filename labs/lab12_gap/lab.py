@@ -1,6 +1,10 @@
 # %% [markdown]
 # # Lab 12: what is missing in the model?
 #
+# ![Evidence for ten candidates, one of which passes the threshold, and the gap before and after it is added](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # You get two flights of the same aircraft. On the first, the *baseline* flight (file `calm.csv`, arguments `calm_...`),
 # the model is right. On the second, on another day, **something may have been different**: a wind, a broken aileron, a
 # slow radio, or nothing at all. Every student has another answer. Detect it, name it, estimate its size, add it to the
@@ -90,7 +94,6 @@ initial_states, _ = sysid.fit_initial_states(
 )
 before = fit(calm_model, windows, initial_states, prior=prior)
 scatter = max(1.0, found.train.chi2)
-gains, calm_gains = {}, np.zeros(3)  # until you have something better
 print(f"chi2 per degree of freedom in the nominal model: baseline {found.train.chi2:.2f}, "
       f"flight under test {score(calm_model, windows).chi2:.2f}")  # fmt: skip
 

@@ -2,6 +2,10 @@
 # # Lab 13: Fly your own
 # **All your parts in one flight: your renderer draws, your policy looks, your expert lands, your board obeys.**
 #
+# ![Six pictures of a flight by your own renderer, its track from above, and the bank over time](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # In twelve labs you wrote the parts of a FalconWing, and each flew once, alone. Here they fly together, through the
 # hall and onto the pad: ten seconds, filmed by your own renderer. At the end something is hidden in the aircraft, and
 # your own gap workflow finds it.

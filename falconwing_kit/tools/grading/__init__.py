@@ -13,7 +13,7 @@ from falconwing_kit.tools.grading.lab import (
     is_close,
     is_same_answer,
 )
-from falconwing_kit.tools.grading.mine import load_parts
+from falconwing_kit.tools.grading.mine import load_parts, whose
 from falconwing_kit.tools.grading.moving import (
     moving_figure,
     moving_pictures,
@@ -42,4 +42,5 @@ __all__ = [
     "moving_pictures",
     "plan_view",
     "side_view",
+    "whose",
 ]
