@@ -25,18 +25,24 @@ FIGURES = {  # the figure that a lab leads to
     "lab09": "window",
     "lab10": "takeover",
     "lab11": "landings",
-    "lab12": "gap",
+    "lab12": "real",  # the figure before it names what is hidden
     "lab13": "film",
 }
+WHOLE = (0.0, 0.0, 1.0, 1.0)  # left, top, right, bottom
+PARTS = {"lab11": (0.0, 0.6, 1.0, 1.0)}  # the rest answers a question
 WIDEST = 900  # [px]
 LARGEST = 60_000  # [bytes]
 
 
-def goal_picture(png: bytes) -> bytes:
-    """A figure as WebP of at most WIDEST pixels and LARGEST bytes."""
+def goal_picture(png: bytes, part: tuple[float, ...]) -> bytes:
+    """A part of a figure as WebP of at most WIDEST pixels and LARGEST bytes."""
     from PIL import Image
 
     picture = Image.open(io.BytesIO(png)).convert("RGB")
+    (width, height), (left, top, right, bottom) = picture.size, part
+    picture = picture.crop(
+        (int(left * width), int(top * height), int(right * width), int(bottom * height))
+    )
     picture.thumbnail((WIDEST, WIDEST), Image.Resampling.LANCZOS)
     for quality in (90, 80, 70, 60, 50, 40):
         buffer = io.BytesIO()
@@ -67,11 +73,16 @@ def write_goals(outputs: Path, labs: Path) -> list[Path]:
         )
         pngs = [
             each["data"]["image/png"]
-            for each in shown[cell.for_solution()]
+            for each in shown.get(cell.for_solution(), ())
             if "image/png" in each.get("data", {})
         ]
+        if not pngs:
+            print(f"{file}: figure {name} is not in it; run labs selftest --outputs again")
+            continue
         target = folder / GOAL
-        target.write_bytes(goal_picture(base64.b64decode(pngs[-1])))
+        target.write_bytes(
+            goal_picture(base64.b64decode(pngs[-1]), PARTS.get(folder.name[:5], WHOLE))
+        )
         print(f"{target}: figure {name}, {target.stat().st_size / 1e3:.0f} kB")
         written.append(target)
     return written

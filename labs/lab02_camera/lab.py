@@ -31,7 +31,7 @@ print("your course:", COHORT)
 print("the lens:", lens)
 
 # %%
-from falconwing_kit.tools.grading import keep_going
+from falconwing_kit.tools.grading import borrow, keep_going
 
 keep_going()  # a missing function stops only the cells that need it
 given.moving_attitude()

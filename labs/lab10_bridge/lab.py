@@ -66,7 +66,7 @@ print(
 # %%
 from given import moving_wire
 
-from falconwing_kit.tools.grading import keep_going
+from falconwing_kit.tools.grading import borrow, keep_going
 
 keep_going()  # a missing function stops only the cells that need it
 moving_wire()

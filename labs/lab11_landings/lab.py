@@ -2,7 +2,7 @@
 # # Lab 11: Landing trials
 # **Eight of ten landed. What does that show?**
 #
-# ![Deviations of ten landings, simulated and real, and four success rates with their intervals](goal.webp)
+# ![Four success rates of landings as bars, from 8 of 10 to 100 of 100, each with its interval](goal.webp)
 #
 # *What you will have at the end (open course).*
 #
@@ -50,7 +50,7 @@ for name, column in table.items():
 # %%
 from given import moving_tens
 
-from falconwing_kit.tools.grading import keep_going
+from falconwing_kit.tools.grading import borrow, keep_going
 
 keep_going()  # a missing function stops only the cells that need it
 moving_tens()

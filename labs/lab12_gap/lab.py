@@ -1,7 +1,7 @@
 # %% [markdown]
 # # Lab 12: what is missing in the model?
 #
-# ![Evidence for ten candidates, one of which passes the threshold, and the gap before and after it is added](goal.webp)
+# ![A real flight: its velocities as two rings, of which one is moved by the hidden wind, and two laps from above](goal.webp)
 #
 # *What you will have at the end (open course).*
 #
@@ -56,7 +56,7 @@ print(f"{folder}: baseline {calm_table.duration:.0f} s, flight under test {table
 # %%
 from given import moving_flights
 
-from falconwing_kit.tools.grading import keep_going
+from falconwing_kit.tools.grading import borrow, keep_going
 
 keep_going()  # a missing function stops only the cells that need it
 moving_flights(folder)

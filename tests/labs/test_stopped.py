@@ -87,6 +87,29 @@ def test_any_other_error_stops_as_always(code):
     assert ran.error in ran.printed and "This cell" not in ran.printed
 
 
+def test_a_borrowed_function_draws_says_so_and_earns_nothing():
+    """The stub is replaced until its own cell runs again; 150 g at 20 degrees, by hand:
+
+    sqrt(2 * 0.15 * 9.8 / (1.204 * 0.076 * 0.6)) = 7.32.
+    """
+    stub = "def min_speed(m, t):\n    raise NotImplementedError('write min_speed')"
+    use = "print(round(float(min_speed(150.0, 20.0)), 2))"
+    imports = "from falconwing_kit.tools.grading import borrow, check"
+    ran = run_cells(imports, stub, use, "borrow('min_speed')", use, "check(min_speed)", stub, use)
+    printed = [each.printed for each in ran]
+    assert "not written" in printed[2] and 'borrow("min_speed")' in printed[2]
+    assert printed[4].splitlines() == ["7.32", "drawn with the kit's min_speed"]
+    assert "borrowed" in printed[5] and "passed" not in printed[5]
+    assert "not written" in printed[7]
+    assert all(each.error == "" for each in ran)
+
+
+def test_only_an_exercise_can_be_borrowed():
+    """A misspelt name: the list of those that there are."""
+    ran = run_cells("from falconwing_kit.tools.grading import borrow\nborrow('min_sped')")
+    assert ran[0].error == "InputError" and "min_speed" in ran[0].printed
+
+
 def test_outside_of_a_notebook_nothing_happens():
     """No shell: no hook, no error."""
     assert grading.keep_going() is None

@@ -21,7 +21,7 @@ from falconwing_kit.tools.grading.moving import (
     side_view,
 )
 from falconwing_kit.tools.grading.public_checks import check
-from falconwing_kit.tools.grading.stopped import keep_going
+from falconwing_kit.tools.grading.stopped import borrow, keep_going
 
 __all__ = [
     "Check",
@@ -33,6 +33,7 @@ __all__ = [
     "Lab",
     "Trials",
     "Values",
+    "borrow",
     "check",
     "is_close",
     "is_same_answer",

@@ -257,6 +257,11 @@ def check(function: Function, step: int = 1) -> None:
         names = [exercise.name for exercise in lab.exercises]
         if name not in names:
             raise InputError(f"check: expected one of the functions {', '.join(names)}, got {name}")
+        if getattr(function, "is_borrowed", False):  # by `borrow`
+            print(
+                to_printable(f"{SYMBOLS['not written']} {name}: borrowed from the kit, not yours")
+            )
+            return
         exercise = lab.exercise(name)
         hints = load_hints(folder).get(name)
         outcomes = run_checks(exercise, _as_called(folder, exercise, function), hints)
