@@ -292,15 +292,15 @@ def filmed():
 
 
 flown, pilot, board = filmed()
-x, offset, sink, points = landing_score(flown["states"])
-seconds = STEP_S * (len(flown["states"]) - 1)
-words = f"{seconds:.1f} s, touchdown at x = {x:.2f} m, {offset:.2f} m off the line, {sink:.2f} m/s"
-print(f"{words}: {points:.1f} points")
 movie = given.film(flown["frames"], IMAGE_EVERY * STEP_S)
 print(f"film: {len(flown['frames'])} pictures, {len(movie) / 1e6:.2f} MB")
 display(Image(movie, format="gif", width=480, alt=given.words_for(flown)))
 given.draw_flight(flown, pilot, board)
 plt.show()
+x, offset, sink, points = landing_score(flown["states"])
+seconds = STEP_S * (len(flown["states"]) - 1)
+words = f"{seconds:.1f} s, touchdown at x = {x:.2f} m, {offset:.2f} m off the line, {sink:.2f} m/s"
+print(f"{words}: {points:.1f} points")
 
 # %% [markdown]
 # *In words: the film begins along the right wall, westward; after four seconds the hall tilts and turns round to
