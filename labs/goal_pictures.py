@@ -29,7 +29,7 @@ FIGURES = {  # the figure that a lab leads to
     "lab13": "film",
 }
 WHOLE = (0.0, 0.0, 1.0, 1.0)  # left, top, right, bottom
-PARTS = {"lab11": (0.0, 0.6, 1.0, 1.0)}  # the rest answers a question
+PARTS = {"lab11": (0.0, 0.6, 0.72, 1.0)}  # the rest answers a question
 WIDEST = 900  # [px]
 LARGEST = 60_000  # [bytes]
 

@@ -104,7 +104,7 @@ def moving_circles() -> Any:
     hit = ax.text(-19.5, 11.0, "", color=ORANGE)
 
     def draw(number: int) -> None:
-        t = 0.1 * number
+        t = 0.2 * number
         ax.set_title(
             f"Both begin to turn to the right at the same place: {t:.1f} s (paper's numbers)"
         )
@@ -120,4 +120,4 @@ def moving_circles() -> Any:
             hit.set_text("")
 
     words = "From above: 150 g fly a circle inside the hall, 300 g meet the opposite wall."
-    return moving_figure(figure, draw, 80, 0.1, words)
+    return moving_figure(figure, draw, 41, 0.2, words)

@@ -180,7 +180,7 @@ def moving_wind(wind: float = 1.5) -> Any:
         return np.array([R * np.sin(turned), R * np.cos(turned) - 3.0 + wind * np.asarray(t)])
 
     def draw(number: int) -> None:
-        t = 0.1 * number
+        t = 0.2 * number
         drift = (dots[:, 1] + 10.0 + wind * t) % 20.0 - 10.0
         air.set_data(dots[:, 0], drift)
         ring.set_data(R * np.cos(around), R * np.sin(around) - 3.0 + wind * t)
@@ -190,5 +190,5 @@ def moving_wind(wind: float = 1.5) -> Any:
 
     words = "From above: dots drift to the left, a dotted circle drifts with them, and the aircraft"
     return moving_figure(
-        figure, draw, int(10 * seconds), 0.1, words + " stays on the circle; its track is a spiral."
+        figure, draw, int(5 * seconds), 0.2, words + " stays on the circle; its track is a spiral."
     )

@@ -250,7 +250,7 @@ def draw_hall(p_world: np.ndarray, placed: dict[str, np.ndarray]) -> None:
 
 
 def moving_photos() -> Any:
-    """A film: every photo that shows the marker, from the farthest to the nearest."""
+    """A film: every second photo that shows the marker, from the farthest to the nearest."""
     from matplotlib.figure import Figure
 
     from falconwing_kit.tools.grading import moving_figure
@@ -258,7 +258,7 @@ def moving_photos() -> Any:
     photos = read_photos()
     places = photos["p_world"][photos["shows"]]
     distance = np.linalg.norm(places - T_WORLD_MARKER[:3, 3], axis=1)
-    order = np.argsort(-distance)
+    order = np.argsort(-distance)[::-2][::-1]  # every second one, the nearest too
     figure = Figure(figsize=(8.4, 3.6), layout="constrained")
     above, seen = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     above.plot([-22.5, 17.5, 17.5, -22.5, -22.5], [-12, -12, 8, 8, -12], color="black", lw=1)
@@ -282,4 +282,4 @@ def moving_photos() -> Any:
     words = (
         "Photo by photo nearer to the marker; its square grows from some 17 to more than 100 px."
     )
-    return moving_figure(figure, draw, len(order), 0.15, words)
+    return moving_figure(figure, draw, len(order), 0.25, words)

@@ -217,13 +217,13 @@ def moving_flights(folder: Path, seconds: float = 10.0) -> Any:
 
     def draw(number: int) -> None:
         for flight, (track, outline, height) in zip(flights, drawn, strict=True):
-            rows = np.flatnonzero(flight.has_pose & (flight.t - flight.t[0] <= 0.1 * number))
+            rows = np.flatnonzero(flight.has_pose & (flight.t - flight.t[0] <= 0.2 * number))
             p = flight.p_world[rows]
             track.set_data(p[:, 0], p[:, 1])
             height.set_data(flight.t[rows] - flight.t[0], p[:, 2])
             if len(rows):
                 outline.set_xy(plan_view(*p[-1, :2], flight.attitude[rows[-1], 2], span=2.0).T)
-        above.set_title(f"Both flights, {0.1 * number:.1f} s (simulated)", fontsize=9)
+        above.set_title(f"Both flights, {0.2 * number:.1f} s (simulated)", fontsize=9)
 
     words = "Two aircraft go round the hall on different tracks; nothing wrong is seen by eye."
-    return moving_figure(figure, draw, int(10 * seconds), 0.1, words)
+    return moving_figure(figure, draw, int(5 * seconds), 0.2, words)
