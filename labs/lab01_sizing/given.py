@@ -82,3 +82,42 @@ def draw_turn(width: float, radius: float, bank_deg: float) -> None:
     )
     ax.set_title(f"bank {bank_deg:.0f}°: {verdict}")
     ax.legend(loc="center")
+
+
+def moving_circles() -> Any:
+    """A film from above: the paper's 150 g and its "300 g" turn, each with the numbers printed."""
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.tools.grading import moving_figure, plan_view
+
+    figure = Figure(figsize=(7.2, 4.4), layout="constrained")
+    ax: Any = figure.subplots()
+    ax.plot([-20, 20, 20, -20, -20], [-10, -10, 10, 10, -10], color="black", linewidth=3)
+    ax.set(xlabel="along the hall [m]", ylabel="across [m]", aspect="equal", ylim=(-13.5, 13))
+    turns = (("150 g", 7.04, 8.7, BLUE, "-"), ("300 g", 10.0, 17.5, ORANGE, "--"))
+    drawn = []
+    for name, speed, radius, colour, line in turns:
+        label = f"{name}: {speed:.0f} m/s, radius {radius} m"
+        track = ax.plot([], [], line, color=colour, label=label)[0]
+        drawn.append((track, ax.fill([0], [0], color=colour)[0]))
+    ax.legend(loc="lower right", ncols=2)
+    hit = ax.text(-19.5, 11.0, "", color=ORANGE)
+
+    def draw(number: int) -> None:
+        t = 0.2 * number
+        ax.set_title(
+            f"Both begin to turn to the right at the same place: {t:.1f} s (paper's numbers)"
+        )
+        for (_, speed, radius, _, _), (track, outline) in zip(turns, drawn, strict=True):
+            reach = min(t, radius / speed * np.arccos(1.0 - 18.7 / radius)) if radius > 9.4 else t
+            angle = speed / radius * np.linspace(0.0, reach, 60)
+            x, y = radius * np.sin(angle), 8.7 - radius + radius * np.cos(angle)
+            track.set_data(x, y)
+            outline.set_xy(plan_view(x[-1], y[-1], angle[-1], span=2.0).T)
+            if reach < t:
+                hit.set_text(f"300 g meet the wall after {reach:.1f} s")
+        if number == 0:
+            hit.set_text("")
+
+    words = "From above: 150 g fly a circle inside the hall, 300 g meet the opposite wall."
+    return moving_figure(figure, draw, 41, 0.2, words)

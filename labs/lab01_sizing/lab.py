@@ -2,6 +2,10 @@
 # # Lab 1: Sizing
 # **How light must an aircraft be to fly in a hall?**
 #
+# ![Turn radius over mass: three lines rise; most lie above half of the hall's width, a dashed one crosses it at 171 g](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # FalconWing weighs 150 g, and its computer stays on the ground. This lab shows why: weight sets the speed, speed sets
 # the turn, and the turn must fit between two walls.
 #
@@ -34,6 +38,16 @@ from given import (
 from falconwing_kit.tools.grading import check
 
 print("your course:", COHORT)
+
+# %%
+from falconwing_kit.tools.grading import borrow, keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+given.moving_circles()
+
+# %% [markdown]
+# *In words: from above, a hall 20 m wide. The 150 g aircraft turns on a circle that stays 1.3 m inside both walls; the heavier
+# one is faster, turns wider, and after 2.9 s it is at the opposite wall.*
 
 # %% [markdown]
 # ## 1 The mass budget

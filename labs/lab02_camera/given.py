@@ -154,3 +154,69 @@ def _along(corners: Array, pieces: int = 40) -> Array:
     share = np.arange(pieces)[:, None] / pieces
     edges = [a + share * (b - a) for a, b in pairwise(corners)]
     return np.concatenate([*edges, corners[-1:]])
+
+
+def moving_attitude() -> Any:
+    """A film: yaw, pitch and roll one after the other, from outside and through the camera."""
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.core import HALL_HIGH, HALL_LOW, camera_pose, pose_matrix
+    from falconwing_kit.core import rotation_world_body as rotation
+    from falconwing_kit.scene import PinholeCamera
+    from falconwing_kit.tools.grading import moving_figure
+
+    camera = PinholeCamera.from_fov_deg(320, 240, 78.0)
+    (x0, y0, z0), (x1, y1, z1) = HALL_LOW, HALL_HIGH
+    floor = [[[x, y0, z0], [x, y1, z0]] for x in np.linspace(x0, x1, 17)]
+    floor += [[[x0, y, z0], [x1, y, z0]] for y in np.linspace(y0, y1, 9)]
+    end = [[x1, y0, z0], [x1, y0, z1], [x1, y1, z1], [x1, y1, z0]]
+    walls = [end, [[x0, y0, z1], [x1, y0, z1]], [[x0, y1, z1], [x1, y1, z1]]]
+    pad, marker = (edge[:, [1, 0, 2]] * [1.0, -1.0, 1.0] for edge in (PAD, MARKER))  # kit's world
+    lines = [(each, "0.7", 0.8) for each in floor] + [(each, "0.3", 1.2) for each in walls]
+    lines += [(pad, ORANGE, 2.0), (marker, GREEN, 2.0)]
+    points = [_along(np.array(each, float), 60) for each, _, _ in lines]
+
+    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
+    outside: Any = figure.add_subplot(1, 2, 1, projection="3d")
+    inside: Any = figure.add_subplot(1, 2, 2)
+    outside.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1), xticks=[], yticks=[], zticks=[])
+    outside.view_init(elev=22, azim=-150)  # from behind the aircraft, on its left
+    outside.set_xlabel("along the runway")
+    wing = np.array([[1, 0, 0], [0.2, 0.9, 0], [-0.1, 0.9, 0], [-0.1, 0.1, 0], [-0.8, 0.3, 0]])
+    shape = np.vstack([wing, wing[::-1] * [1.0, -1.0, 1.0]])  # in body axes
+    skin = outside.plot([], [], [], color="black", linewidth=2)[0]
+    axes = [
+        outside.plot([], [], [], line, color=colour, linewidth=3, label=name)[0]
+        for name, colour, line in (
+            ("x, nose", BLUE, "-"),
+            ("y, right wing", ORANGE, "--"),
+            ("z, belly", GREEN, ":"),
+        )
+    ]
+    outside.legend(loc="lower left", fontsize=7)
+    drawn = [inside.plot([], [], color=c, linewidth=w)[0] for _, c, w in lines]
+    inside.set(xlim=(0, 320), ylim=(240, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
+    inside.set_title("through the camera", fontsize=9)
+    parts = (
+        ("yaw", 20.0, "nose right"),
+        ("pitch", 14.0, "nose up"),
+        ("roll", 40.0, "right wing down"),
+    )
+
+    def draw(number: int) -> None:
+        part, step = divmod(number, 20)
+        name, most, positive = parts[part]
+        value = most * np.sin(2.0 * np.pi * step / 20.0)
+        angles = {"yaw": 0.0, "pitch": 0.0, "roll": 0.0, name: np.radians(value)}
+        R = rotation(angles["roll"], angles["pitch"], angles["yaw"])
+        skin.set_data_3d(*(R @ shape.T))
+        for arrow, axis in zip(axes, R.T, strict=True):
+            arrow.set_data_3d(*np.outer(axis, [0.0, 1.2]))
+        outside.set_title(f"{name} {value:+.0f}°, positive: {positive}", fontsize=9)
+        T = camera_pose(pose_matrix(R, np.array([-11.0, -1.0, 2.0])), np.zeros(3))
+        for line, p_world in zip(drawn, points, strict=True):
+            pixels, depth = camera.project(p_world, T)
+            line.set_data(*np.where(depth[:, None] > 0.3, pixels, np.nan).T)
+
+    words = "An aircraft yaws, pitches and rolls; the picture moves the other way each time."
+    return moving_figure(figure, draw, 60, 0.1, words)

@@ -2,6 +2,10 @@
 # # Lab 2: Frames and camera
 # **One aircraft, three conventions, and where a point of the hall appears in the picture.**
 #
+# ![Two views of a hall with the outlines of pad and marker drawn exactly over them, and a map of what each view shows](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # The autopilot logs its attitude against north, east and down. You think on a map: right, along the runway, up. The
 # camera counts right, down, forward, and its picture counts pixels. Every sign you get wrong here comes back later as
 # an aircraft that turns away from the runway.
@@ -25,6 +29,17 @@ from falconwing_kit.tools.grading import check
 views, lens, tilt, p_body_camera = given.load_views()
 print("your course:", COHORT)
 print("the lens:", lens)
+
+# %%
+from falconwing_kit.tools.grading import borrow, keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+given.moving_attitude()
+
+# %% [markdown]
+# *In words: left, an aircraft seen from behind with its three body axes; right, the hall through its camera: floor, end wall,
+# pad and marker as lines. When the nose goes right the picture goes left, when the nose goes up the picture goes down,
+# and when the right wing drops the picture turns to the left.*
 
 # %% [markdown]
 # ## Three frames

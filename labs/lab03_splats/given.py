@@ -124,3 +124,31 @@ def draw_depth(depth: Array) -> None:
     fig, ax = plt.subplots(figsize=(6, 4))
     fig.colorbar(ax.imshow(depth, cmap="viridis"), ax=ax, label="depth of the surface [m]")
     ax.set(xlabel="u [px]", ylabel="v [px]", title="How far away your picture is")
+
+
+def moving_orbit(count: int = 48) -> Any:
+    """A film of the scene, drawn by the kit, from a camera that swings in front of it.
+
+    Args:
+        count: of the pictures.
+    """
+    from falconwing_kit.scene import GaussianScene, PinholeCamera, nose_camera_pose, render
+    from falconwing_kit.tools.grading import moving_pictures
+
+    arrays = {name: array.astype(np.float32) for name, array in load_scene().items()}
+    scene = GaussianScene(
+        arrays["means"],
+        arrays["quaternions_xyzw"][:, [3, 0, 1, 2]],
+        np.exp(arrays["log_scales"]),
+        arrays["opacities"],
+        ((arrays["colours"] - 0.5) / 0.28209479)[:, None, :],
+    )
+    camera, pictures = PinholeCamera(**LENS, width=WIDTH, height=HEIGHT), []
+    for number in range(count):
+        swing = np.radians(40.0) * np.sin(2.0 * np.pi * number / count)
+        place = np.array([2.0 - 9.0 * np.cos(swing), -1.6 + 9.0 * np.sin(swing), 1.9])
+        T_world_camera = nose_camera_pose(place, 0.0, -0.06, swing)
+        rgb = render(scene, camera, T_world_camera, background=BACKGROUND).rgb
+        pictures.append(np.round(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8))
+    words = "A hall of soft spots, seen from a camera that swings to the left and to the right."
+    return moving_pictures(pictures, 0.1, words, 3 * WIDTH)

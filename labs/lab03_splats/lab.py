@@ -2,6 +2,10 @@
 # # Lab 3: Splat renderer
 # **From clouds of colour to a picture, in four functions.**
 #
+# ![A hall drawn from Gaussians, the same one drawn by the kit, and their small difference](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # The simulator's hall is not made of triangles. It is made of Gaussians: soft ellipsoids, each with a place, a shape, a
 # colour and an opacity. A camera sees each one as a soft ellipse, a *splat*. Laid over each other in the right order,
 # they make the picture. The kit does this with 100 000 of them twenty times a second; you do it with 730, slowly.
@@ -30,6 +34,16 @@ scene = given.load_scene()
 print("your course:", COHORT)
 for name, array in scene.items():
     print(f"{name:>16}: {array.shape}")
+
+# %%
+from falconwing_kit.tools.grading import borrow, keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+given.moving_orbit()
+
+# %% [markdown]
+# *In words: the hall that you will draw, in a film of the kit's: soft spots of colour make a floor, two walls, a blue pad, a
+# marker and an aircraft. The camera swings to the left and to the right; what is near moves more.*
 
 # %% [markdown]
 # ## 1 The shape of a Gaussian

@@ -149,3 +149,46 @@ def hall_axes(ax: Any, title: str) -> None:
     ax.set(
         xlabel="x, along the runway [m]", ylabel="y, to the left [m]", title=title, aspect="equal"
     )
+
+
+def moving_wind(wind: float = 1.5) -> Any:
+    """A film from above: a circle through air that moves; dots drift with the air.
+
+    Args:
+        wind: velocity of the air along y, to the left [m/s].
+    """
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.tools.grading import moving_figure, plan_view
+
+    V, R, seconds = 7.0, 7.0 / 0.9, 7.0  # speed through the air, radius in it: 0.9 rad/s
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    ax: Any = figure.subplots()
+    hall_axes(ax, "")
+    ax.set(xlim=(-21, 21), ylim=(-11, 14))
+    rng = np.random.default_rng(4)
+    dots = rng.uniform((-20.0, -10.0), (20.0, 10.0), (90, 2))
+    air = ax.plot([], [], ".", color=GREY, markersize=3, label="the air")[0]
+    ring = ax.plot([], [], ":", color=GREEN, lw=2, label="the circle through the air")[0]
+    track = ax.plot([], [], color=BLUE, label="track over the ground")[0]
+    outline = ax.fill([0], [0], color=ORANGE)[0]
+    ax.legend(loc="lower right", fontsize=8)
+    around = np.linspace(0.0, 2.0 * np.pi, 100)
+
+    def place(t: Array) -> Array:
+        turned = V / R * np.asarray(t)
+        return np.array([R * np.sin(turned), R * np.cos(turned) - 3.0 + wind * np.asarray(t)])
+
+    def draw(number: int) -> None:
+        t = 0.2 * number
+        drift = (dots[:, 1] + 10.0 + wind * t) % 20.0 - 10.0
+        air.set_data(dots[:, 0], drift)
+        ring.set_data(R * np.cos(around), R * np.sin(around) - 3.0 + wind * t)
+        track.set_data(*place(np.linspace(0.0, t, 80)))
+        outline.set_xy(plan_view(*place(np.array(t)), V / R * t, span=2.0).T)
+        ax.set_title(f"A turn in a wind of {wind:g} m/s, {t:.1f} s (simulated)")
+
+    words = "From above: dots drift to the left, a dotted circle drifts with them, and the aircraft"
+    return moving_figure(
+        figure, draw, int(5 * seconds), 0.2, words + " stays on the circle; its track is a spiral."
+    )

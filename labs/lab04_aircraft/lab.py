@@ -1,6 +1,10 @@
 # %% [markdown]
 # # Lab 4: the aircraft model
 #
+# ![A turn from above that lies on its circle in still air and drifts out of the hall in wind; height, speed and bank over time](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # In this lab you write the model that the rest of the course flies: a state of nine numbers (position, attitude and
 # velocity), and the physics that advances it by one twentieth of a second.
 #
@@ -28,12 +32,20 @@ from given import (
     K,
     body_rates,
     hall_axes,
+    moving_wind,
     pilot,
     rotation_world_body,
     vertical_flight,
 )
 
-from falconwing_kit.tools.grading import check
+from falconwing_kit.tools.grading import borrow, check, keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+moving_wind()
+
+# %% [markdown]
+# *In words: from above, a hall in which the air drifts to the left; dots drift with it, and so does a dotted circle. The
+# aircraft flies round this circle. Its track over the ground is no circle, and after one round it is beyond the wall.*
 
 # %% [markdown]
 # ## 1. What the aircraft feels: the air

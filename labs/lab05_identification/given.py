@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 
@@ -224,3 +225,46 @@ def fit_one_step(states: Array, commands: Array) -> Array:
         np.maximum(0.0, 10.0 * GUESS),
     )  # beyond them is no aircraft
     return np.asarray(least_squares(mismatch, GUESS, bounds=bounds, x_scale=np.abs(GUESS)).x)
+
+
+def moving_pass(number: int = 0) -> Any:
+    """A film of one pass from the side: what the camera measured, frame by frame, and the inputs.
+
+    Args:
+        number: of the pass.
+    """
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.tools.grading import moving_figure, side_view
+
+    poses, inputs = (each[number] for each in read_passes())
+    t = DT * np.arange(len(poses))
+    figure = Figure(figsize=(8.4, 4.2), layout="constrained")
+    axes: Any = figure.subplots(2, 1, height_ratios=(1.6, 1.0))
+    side, below = axes
+    dots = side.plot([], [], ".", color=BLUE, label="measured poses")[0]
+    outline = side.fill([0], [0], color=ORANGE)[0]
+    seen = np.isfinite(poses[:, 0])
+    low, high = np.percentile(poses[seen, 0], [2, 98])
+    side.set(xlabel="x along the runway [m]", ylabel="height [m]", xlim=(low - 2, high + 2))
+    side.set(ylim=(0.0, 4.0), aspect="equal")
+    side.legend(fontsize=7, loc="lower right")
+    lines = [
+        below.plot([], [], line, color=colour, label=name)[0]
+        for name, colour, line in (("throttle", GREEN, "-"), ("elevator", ORANGE, "--"))
+    ]
+    below.set(xlabel="time [s]", ylabel="input [-]", xlim=(0, t[-1]), ylim=(-1.05, 1.05))
+    below.legend(fontsize=7, loc="lower right")
+
+    def draw(frame: int) -> None:
+        dots.set_data(poses[: frame + 1, 0], poses[: frame + 1, 1])
+        x, z, pitch = poses[frame]
+        if np.isfinite([x, z, pitch]).all():
+            outline.set_xy(side_view(x, z, pitch, length=1.5).T)
+        state = "" if np.isfinite([x, z, pitch]).all() else ", no pose in this frame"
+        side.set_title(f"A pass of {t[frame]:.2f} s (simulated){state}", fontsize=9)
+        for column, line in enumerate(lines):
+            line.set_data(t[: frame + 1], inputs[: frame + 1, column])
+
+    words = "An aircraft flies to the right, leaves a row of dots, and now and then one far off it."
+    return moving_figure(figure, draw, len(poses), DT, words)

@@ -392,3 +392,57 @@ def draw_landing(flights: dict[str, dict[str, np.ndarray]]) -> None:
     sink.set(xlabel="x along the runway [m]", ylabel="sink rate [m/s]")
     height.legend(fontsize="small")
     sink.legend(fontsize="small")
+
+
+def moving_landing(seed: int = 3) -> Any:
+    """A film: the kit's own expert lands (simulated), from the side and from above.
+
+    Args:
+        seed: of the start and the noise.
+    """
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.aircraft import LandingPad, load_airframe, rates_model
+    from falconwing_kit.control import LandingExpert
+    from falconwing_kit.core import Observation
+    from falconwing_kit.flight import SimulatedWorld, Spread
+    from falconwing_kit.tools.grading import moving_figure, plan_view, side_view
+
+    model, airframe, pad = rates_model(), load_airframe(), LandingPad()
+    begin = (PAD_START - 20.0, AIM[1] + 2.0, 1.5)
+    place = Spread(position=0.4, angle=0.07, speed=0.4).start(model, begin, seed)
+    world = SimulatedWorld(model, airframe, place, seed=seed, pad=pad)
+    pilot, rows, past = LandingExpert(model, airframe, pad), [], np.zeros((30, 4))
+    while world.t < 8.0 and world.contact is None:
+        x = world.state
+        rows.append((world.t, *x.p_world, x.pitch, x.yaw))
+        command = pilot.act(Observation(world.t, None, past, world.measured()))
+        past = np.vstack([past[1:], command.vector])
+        world.send(world.t, command)
+        world.advance(world.t + STEP)
+    flown = np.array(rows)
+    figure = Figure(figsize=(8.4, 4.4), layout="constrained")
+    axes: Any = figure.subplots(2, 1, sharex=True)
+    side, above = axes
+    end = PAD_START + PAD_LENGTH
+    side.fill_between([PAD_START, end], 0.0, PAD_HEIGHT, color="#9fc5e8", label="pad")
+    above.fill_between([PAD_START, end], PAD_Y - 1.0, PAD_Y + 1.0, color="#9fc5e8")
+    side.set(ylabel="height [m]", ylim=(0.0, 3.0), xlim=(begin[0] - 1.5, end + 0.5))
+    above.set(xlabel="x along the runway [m]", ylabel="y [m]", ylim=(PAD_Y - 2.5, PAD_Y + 4.0))
+    drawn = []
+    for ax in (side, above):
+        track = ax.plot([], [], color=BLUE)[0]
+        drawn.append((track, ax.fill([0], [0], color=ORANGE)[0]))
+    side.legend(fontsize=7)
+
+    def draw(number: int) -> None:
+        t, x, y, z, pitch, yaw = flown[min(number, len(flown) - 1)]
+        part = flown[: number + 1]
+        drawn[0][0].set_data(part[:, 1], part[:, 3] - WHEELS_BELOW)
+        drawn[1][0].set_data(part[:, 1], part[:, 2])
+        drawn[0][1].set_xy(side_view(x, z - WHEELS_BELOW + 0.05, pitch, length=1.2).T)
+        drawn[1][1].set_xy(plan_view(x, y, yaw, span=1.2).T)
+        side.set_title(f"The kit's expert lands, {t:.1f} s (simulated)", fontsize=9)
+
+    words = "An aircraft comes from two metres aside, turns onto the pad's line, flares and lands."
+    return moving_figure(figure, draw, len(flown) + 15, STEP, words)

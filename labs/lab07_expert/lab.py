@@ -2,6 +2,10 @@
 # # Lab 7: The expert
 # **How does an aircraft follow a line, turn without slipping, and touch down softly?**
 #
+# ![A circuit in the hall from above with its bank, stall margin and commands over time](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # The paper's vision pilots learn by imitation of an *expert*, a controller with access to the state. In this lab you
 # write one. It flies the kit's simulated aircraft, with noisy measurements, 20 commands a second
 # and a delay, as in the hall.
@@ -37,6 +41,18 @@ from falconwing_kit.flight import Spread
 from falconwing_kit.tools.grading import check
 
 print("your course:", COHORT)
+
+# %%
+from given import moving_landing
+
+from falconwing_kit.tools.grading import borrow, keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+moving_landing()
+
+# %% [markdown]
+# *In words: the kit's expert, from the side and from above. It begins 2 m to the left of the pad's centre line, turns onto
+# it, comes down on a straight slope, and bends it just above the pad.*
 
 # %% [markdown]
 # **World axes**: x along the runway, y left, z up. **Signs**: roll (bank) positive with the right wing down, pitch

@@ -107,8 +107,18 @@ class Flight:
         self.offset += STEP_S * (self.wind - SPEED * math.sin(self.yaw))
 
 
-def expert(flight: Flight) -> float:
-    """Aileron of a pilot with access to the state: a roll proportional to the commanded turn."""
+def expert(flight: Flight, parts: Any = None) -> float:
+    """Aileron of a pilot with access to the state: a roll proportional to the commanded turn.
+
+    Args:
+        flight: to be flown.
+        parts: whose lab 7 leads to the pad's centre line; None for the lines below.
+    """
+    if parts is not None:
+        p = np.array([flight.x, CENTRE_Y + flight.offset])
+        v = SPEED * np.array([math.cos(flight.yaw), -math.sin(flight.yaw)]) + [0.0, flight.wind]
+        line = np.array([[START_X, CENTRE_Y], [TOUCH_X, CENTRE_Y]])
+        return float(parts.expert.guidance(p, v, *line, BANK)) / BANK
     commanded_yaw = min(max(0.25 * flight.offset, -0.35), 0.35)
     roll = 1.8 * (commanded_yaw - flight.yaw) * SPEED / GRAVITY
     return min(max(roll / BANK, -1.0), 1.0)
@@ -158,6 +168,50 @@ def camera_view(scene: Any) -> Callable[[Flight], Array]:
             255.0 * render(scene, camera, camera_pose(T_world_body, np.zeros(3))).rgb + 0.5,
             np.uint8,
         )
+
+    return look
+
+
+def own_view(parts: Any, scene: Any) -> Callable[[Flight], Array]:
+    """Pictures as of `camera_view`, drawn by your lab 3.
+
+    Args:
+        parts: yours or the kit's.
+        scene: a scene of the kit.
+    """
+    from falconwing_kit.core import camera_pose, pose_matrix, rotation_world_body
+    from falconwing_kit.flight import fpv_camera
+
+    camera, renderer = fpv_camera(40, 30), parts.renderer
+    lens = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
+    quaternions = scene.quaternions.astype(float)[:, [1, 2, 3, 0]]
+    covs = renderer.cov3d_from_scale_quat(np.log(scene.scales.astype(float)), quaternions)
+    colours = np.clip(0.5 + 0.28209479 * scene.sh[:, 0].astype(float), 0.0, 1.0)
+    v, u = np.mgrid[:30, :40] + 0.5
+    tiles = [(slice(a, a + 5), slice(b, b + 5)) for a in range(0, 30, 5) for b in range(0, 40, 5)]
+
+    def look(flight: Flight) -> Array:
+        p_world = np.array([flight.x, CENTRE_Y + flight.offset, flight.height])
+        T_world_body = pose_matrix(rotation_world_body(flight.roll, -0.07, flight.yaw), p_world)
+        T = camera_pose(T_world_body, np.zeros(3)) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        x, y, z = means = ((scene.means - T[:3, 3]) @ T[:3, :3]).T  # right, up, backwards
+        seen = (z < -0.3) & (np.abs(x) < -1.3 * z) & (np.abs(y) < -1.1 * z)
+        turned = T[:3, :3].T @ covs[seen] @ T[:3, :3]
+        means_px, covs_px = renderer.project_gaussians(means.T[seen], turned, lens, 0.3)
+        reach = 3.3 * np.sqrt(np.diagonal(covs_px, axis1=1, axis2=2))  # of each splat's box [px]
+        low, high, ahead = means_px - reach, means_px + reach, -z[seen]
+        image = np.zeros((30, 40, 3))
+        for rows, columns in tiles:
+            near = (high > [columns.start, rows.start]) & (low < [columns.stop, rows.stop])
+            touched = np.flatnonzero(near.all(axis=1))
+            pixels = np.stack([u[rows, columns], v[rows, columns]], axis=-1).reshape(-1, 2)
+            mine = (means_px[touched], covs_px[touched], scene.opacities[seen][touched])
+            alphas = renderer.splat_alphas(pixels, *mine)
+            rgb, _ = renderer.alpha_composite(
+                alphas, colours[seen][touched], ahead[touched], np.zeros(3)
+            )
+            image[rows, columns] = rgb.reshape(5, 5, 3)
+        return np.asarray(255.0 * np.clip(image, 0.0, 1.0) + 0.5, np.uint8)
 
     return look
 
@@ -338,3 +392,42 @@ def plot_drift(tracks: Mapping[str, list[Array]], results: Mapping[str, Mapping[
             ylim=(-6.5, 6.5),
         )
     np.atleast_1d(row)[0].set_ylabel("right of the line  -  offset [m]  -  left")
+
+
+def moving_flight(kind: str, number: int = 0) -> Any:
+    """A film of one shipped flight: the picture, the offset, and the expert's aileron.
+
+    Args:
+        kind: as for `load_flights`.
+        number: of the flight.
+    """
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.tools.grading import moving_figure
+
+    data = load_flights(kind)
+    first, last = (*data["starts"], len(data["offset"]))[number : number + 2]
+    rows = slice(first, last)
+    t = STEP_S * np.arange(last - first)
+    figure = Figure(figsize=(8.4, 3.2), layout="constrained")
+    picture, right = figure.subfigures(1, 2)
+    eye = picture.subplots()
+    shown = eye.imshow(data["images"][first])
+    eye.axis("off")
+    place, stick = right.subplots(2, 1, sharex=True)
+    place.axhspan(-PAD_HALF, PAD_HALF, color="0.9")
+    line = place.plot([], [], color=BLUE)[0]
+    flown = stick.plot([], [], color=ORANGE, ls="--", label="flown")[0]
+    own = stick.plot([], [], color=GREEN, label="expert")[0]
+    place.set(ylabel="offset [m]", ylim=(-1.5, 1.5), xlim=(0.0, t[-1]))
+    stick.set(ylabel="aileron [-]", ylim=(-1.05, 1.05), xlabel="time [s]")
+    stick.legend(fontsize=7, loc="lower right")
+
+    def draw(frame: int) -> None:
+        shown.set_data(data["images"][first + frame])
+        eye.set_title(f"what the network sees, {t[frame]:.1f} s (simulated)", fontsize=9)
+        for curve, name in ((line, "offset"), (flown, "flown"), (own, "expert")):
+            curve.set_data(t[: frame + 1], data[name][rows][: frame + 1])
+
+    words = "A landing through 40 x 30 pixels; the blue pad grows while the offset goes to zero."
+    return moving_figure(figure, draw, last - first, STEP_S, words)

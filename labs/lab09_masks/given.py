@@ -222,3 +222,34 @@ def plot_window(
         row[0].set_ylabel(name, fontsize=8)
     grid[0, 0].set_title("with a leader", fontsize=9, loc="left")
     grid[0, len(frames)].set_title("no leader", fontsize=9, loc="left")
+
+
+def moving_leader() -> Any:
+    """A film of training views, from the farthest leader to the nearest, with the exact outline."""
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.tools.grading import moving_figure
+
+    views = load_views("train")
+    distance = np.linalg.norm(views["poses"][:, :3, 3].astype(float), axis=1)
+    order = np.argsort(-distance)[::5]
+    figure = Figure(figsize=(8.4, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    shown = left.imshow(views["images"][0])
+    marked = right.imshow(views["masks"][0], cmap="gray", vmin=0, vmax=1)
+    for ax in (left, right):
+        ax.axis("off")
+    left.set_title("what the follower sees (simulated)", fontsize=9)
+
+    def draw(number: int) -> None:
+        view = order[number]
+        shown.set_data(views["images"][view])
+        marked.set_data(views["masks"][view])
+        share = 100.0 * views["masks"][view].mean()
+        right.set_title(
+            f"the leader alone, {distance[view]:.1f} m away: {share:.1f} % of the pixels",
+            fontsize=9,
+        )
+
+    words = "Views of a hall with a white aircraft ahead, and beside each its mask, white on black."
+    return moving_figure(figure, draw, len(order), 0.25, words)

@@ -368,3 +368,43 @@ def plot_monitor(
         title="Frame monitor on simulated video, 20 Hz",
     )
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+def moving_wire(count: int = 80) -> Any:
+    """A film: the sticks move, and the pulses of each frame with them, as on an oscilloscope.
+
+    Args:
+        count: of the pictures.
+    """
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.tools.grading import moving_figure
+
+    figure = Figure(figsize=(8.4, 3.8), layout="constrained")
+    axes: Any = figure.subplots(2, 1, height_ratios=(1.0, 1.3))
+    bars, wire = axes
+    shown = bars.barh(STICKS, np.zeros(4), color=(GREEN, BLUE, ORANGE, PINK))
+    bars.set(xlim=(-1.05, 1.05), xlabel="stick [-]")
+    bars.invert_yaxis()
+    line = wire.step([], [], where="post", color=BLUE)[0]
+    texts = [wire.text(0.0, 1.12, "", ha="center", fontsize=8) for _ in STICKS]
+    wire.set(
+        xlabel="time [ms]", ylabel="wire [-]", xlim=(-0.5, 10.0), ylim=(-0.2, 1.6), yticks=(0, 1)
+    )
+
+    def draw(number: int) -> None:
+        turn = 2.0 * np.pi * number / count
+        sticks = np.array([0.5 - 0.5 * np.cos(turn), *(0.9 * np.sin([turn, 2 * turn, 3 * turn]))])
+        reach = np.array([2.0 * sticks[0] - 1.0, *sticks[1:]])
+        starts_ms = np.concatenate([[0.0], np.cumsum(CENTRE_US + REACH_US * reach)]) / 1000.0
+        for bar, value in zip(shown, sticks, strict=True):
+            bar.set_width(value)
+        edges = np.column_stack([starts_ms, starts_ms + GAP_US / 1000.0]).ravel()
+        line.set_data([-0.5, *edges, 10.0], [1, *([0, 1] * 5), 1])
+        for text, a, b in zip(texts, starts_ms[:-1], starts_ms[1:], strict=True):
+            text.set_position((0.5 * (a + b), 1.12))
+            text.set_text(f"{1000.0 * (b - a):.0f} us")
+        bars.set_title("Four sticks, and the frame that carries them (simulated)", fontsize=9)
+
+    words = "Four bars swing; below, five short pulses move apart and together with them."
+    return moving_figure(figure, draw, count, 0.1, words)

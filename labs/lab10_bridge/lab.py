@@ -1,6 +1,10 @@
 # %% [markdown]
 # # Lab 10: the trainer port
 #
+# ![Who flies, over six seconds: the state goes between SAFE, ACTIVE and LOST as commands come and fail](goal.webp)
+#
+# *What you will have at the end (open course).*
+#
 # A computer flies, but a person is responsible. Between the two sits a small board: it takes the computer's commands
 # from a USB cable and gives them to the transmitter's *trainer port*. The pilot's transmitter sends them on to the
 # aircraft (paper, section III). In this lab you write the board's three duties, and the computer's check of
@@ -68,6 +72,18 @@ print(
     f"This course: pulse {GAP_US:g} us, middle {CENTRE_US:g} us, LOST after {LOST_MS:g} ms, "
     f"near is {NEAR_US:g} us"
 )
+
+# %%
+from given import moving_wire
+
+from falconwing_kit.tools.grading import borrow, keep_going
+
+keep_going()  # a missing function stops only the cells that need it
+moving_wire()
+
+# %% [markdown]
+# *In words: above, four bars, the sticks, swing to both sides. Below, a wire with five short low pulses; the distance of
+# two pulses is one stick, so they move apart and together, and the whole frame grows and shrinks.*
 
 # %% [markdown]
 # ## 1. One frame on the wire

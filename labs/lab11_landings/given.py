@@ -39,6 +39,47 @@ def read_simulated() -> dict[str, np.ndarray]:
     return _columns("kit_expert_simulated.csv")
 
 
+def fly_landings(parts: Any, trials: int = 100) -> dict[str, np.ndarray]:
+    """SIMULATED landings by your lab 7, from starts drawn as in the paper; as `read_simulated`.
+
+    Args:
+        parts: yours or the kit's.
+        trials: how many.
+    """
+    import importlib
+
+    from falconwing_kit.aircraft import LandingPad, load_airframe, rates_model
+    from falconwing_kit.core import Command
+    from falconwing_kit.flight import SimulatedWorld, Spread
+
+    lab07, expert = importlib.import_module(f"{parts.__name__}.given.lab07"), parts.expert
+    model, airframe, pad = rates_model(), load_airframe(), LandingPad()
+    spread = Spread(position=0.4, angle=math.radians(4.0), speed=0.4)
+    begin, line = (lab07.PAD_START - 20.0, lab07.AIM[1], 1.5), (lab07.AIM - (40.0, 0.0), lab07.AIM)
+    success, ald_cm = np.zeros(trials), np.full(trials, np.nan)
+    for trial in range(trials):
+        start = spread.start(model, begin, trial)
+        world = SimulatedWorld(model, airframe, start, seed=trial, pad=pad)
+        autopilot, integral, idle = lab07.Autopilot(), 0.0, False
+        while world.t < 20.0 and world.contact is None:
+            state = world.measured()
+            p, speed = state.p_world, float(np.linalg.norm(state.v_world))
+            bank = expert.guidance(p[:2], state.v_world[:2], *line, 0.5 * lab07.BANK_LIMIT)
+            height = p[2] - lab07.PAD_HEIGHT - lab07.WHEELS_BELOW
+            climb_rate, flaring = expert.flare(height, lab07.AIM[0] - p[0], speed)
+            error = lab07.SPEED - speed
+            throttle, integral = expert.hold_speed(error, integral, lab07.GLIDE_THROTTLE)
+            idle = idle or bool(flaring)
+            rates = expert.turn_rates(bank, state.pitch, speed)
+            sticks = autopilot.sticks(state, bank, climb_rate, rates)
+            world.send(world.t, Command.clip(0.0 if idle else throttle, *sticks))
+            world.advance(world.t + lab07.STEP)
+        touch = world.contact.touchdown if world.contact else None
+        if touch is not None and touch.surface == "pad":
+            success[trial], ald_cm[trial] = 1.0, 100.0 * touch.absolute_lateral_deviation
+    return {"trial": np.arange(trials) + 1.0, "success": success, "ald_cm": ald_cm}
+
+
 def _columns(name: str) -> dict[str, np.ndarray]:
     with open(DATA / name, newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -126,3 +167,37 @@ def draw_landings(
         yticks=[],
         ylim=(len(intervals) - 0.5, -0.5),
     )
+
+
+def moving_tens(rate: float = 0.8) -> Any:
+    """A film: ten landings again and again by a pilot of known rate, and what is counted.
+
+    SIMULATED by drawing lots: each landing succeeds with the probability `rate`.
+    """
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.tools.grading import moving_figure
+
+    landed = np.random.default_rng(11).random((60, 10)) < rate
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    ten, all_of_them = figure.subplots(2, 1, height_ratios=(1.0, 3.0))
+    ten.set(xlim=(0.3, 10.7), ylim=(-1.0, 1.0), yticks=[], xticks=range(1, 11))
+    good = ten.plot([], [], "o", color=BLUE, markersize=14)[0]
+    bad = ten.plot([], [], "x", color=ORANGE, markersize=14, markeredgewidth=3)[0]
+    bars = all_of_them.bar(range(11), np.zeros(11), color=BLUE)
+    all_of_them.set(xlabel="landed of ten", ylabel="how often", ylim=(0, 22), xticks=range(11))
+
+    def draw(number: int) -> None:
+        now, run = landed[number], np.arange(1, 11)
+        good.set_data(run[now], np.zeros(now.sum()))
+        bad.set_data(run[~now], np.zeros((~now).sum()))
+        counts = np.bincount(landed[: number + 1].sum(axis=1), minlength=11)
+        for each, (bar, count) in enumerate(zip(bars, counts, strict=True)):
+            bar.set_height(count)
+            bar.set_color(ORANGE if each == now.sum() else BLUE)
+        ten.set_title(
+            f"Always the same pilot, who lands {rate:.0%}: this time {now.sum()} of 10", fontsize=10
+        )
+
+    words = "Rows of ten marks change; bars below grow to a hill from 5 to 10, highest near 8."
+    return moving_figure(figure, draw, len(landed), 0.3, words)

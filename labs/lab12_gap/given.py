@@ -188,3 +188,42 @@ def draw_gap(ax: Any, level: Mapping[str, float]) -> None:
     ax.yaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_minor_formatter("{x:g}")
     ax.legend(fontsize=8)
+
+
+def moving_flights(folder: Path, seconds: float = 10.0) -> Any:
+    """A film of the first seconds of both flights, from above and over time.
+
+    Args:
+        folder: with `calm.csv` and `flight.csv`.
+        seconds: of flight.
+    """
+    from matplotlib.figure import Figure
+
+    from falconwing_kit.core import read_flight_table
+    from falconwing_kit.tools.grading import moving_figure, plan_view
+
+    flights = [read_flight_table(folder / name) for name in ("calm.csv", "flight.csv")]
+    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
+    above, side = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
+    above.plot([-22.5, 17.5, 17.5, -22.5, -22.5], [-12, -12, 8, 8, -12], color="black", lw=1)
+    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-23.5, 18.5))
+    side.set(xlabel="time [s]", ylabel="height [m]", xlim=(0, seconds), ylim=(0, 3.5))
+    drawn = []
+    for name, colour, line in (("baseline", GREY, "--"), ("under test", BLUE, "-")):
+        track = above.plot([], [], line, color=colour, label=name)[0]
+        drawn.append((track, above.fill([0], [0], color=colour)[0]))
+        drawn[-1] += (side.plot([], [], line, color=colour, label=name)[0],)
+    above.legend(fontsize=7, loc="lower left")
+
+    def draw(number: int) -> None:
+        for flight, (track, outline, height) in zip(flights, drawn, strict=True):
+            rows = np.flatnonzero(flight.has_pose & (flight.t - flight.t[0] <= 0.2 * number))
+            p = flight.p_world[rows]
+            track.set_data(p[:, 0], p[:, 1])
+            height.set_data(flight.t[rows] - flight.t[0], p[:, 2])
+            if len(rows):
+                outline.set_xy(plan_view(*p[-1, :2], flight.attitude[rows[-1], 2], span=2.0).T)
+        above.set_title(f"Both flights, {0.2 * number:.1f} s (simulated)", fontsize=9)
+
+    words = "Two aircraft go round the hall on different tracks; nothing wrong is seen by eye."
+    return moving_figure(figure, draw, int(5 * seconds), 0.2, words)

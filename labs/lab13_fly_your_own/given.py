@@ -644,3 +644,14 @@ def second_opinions(parts: Any, flown: Mapping[str, Any]) -> list[str]:
 def _square(half: float) -> list[tuple[float, float]]:
     """Corners as an approaching camera sees them, from the top left on: y to the left, z up."""
     return [(half, half), (-half, half), (-half, -half), (half, -half)]
+
+
+def moving_training() -> Any:
+    """A film of the first shipped flight, as your policy will see it: 40 x 30 pixels."""
+    from falconwing_kit.tools.grading import moving_pictures
+
+    data = load_flights()
+    first, last = data["starts"][:2]
+    pictures = [each.repeat(8, axis=0).repeat(8, axis=1) for each in data["images"][first:last]]
+    words = "A flight along a wall, a turn to the right, and down to a blue pad, in large pixels."
+    return moving_pictures(pictures, IMAGE_EVERY * STEP_S, words)

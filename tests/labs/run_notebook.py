@@ -20,8 +20,7 @@ def run_notebook(text: str, folder: Path, *, go_on: bool = False) -> list[Simple
 
     Returns:
         Code cells in order: `kind` and `name` as in the lab's source, `printed`, `pictures` (how
-            many), `errors`
-        (the names of what was raised).
+        many), `films` (size and words of each), `errors` (the names of what was raised).
     """
     notebook = nbformat.reads(text, as_version=4)
     client = NotebookClient(
@@ -52,6 +51,14 @@ def _seen(cell: nbformat.NotebookNode) -> SimpleNamespace:
         complained="".join(
             each.text for each in outputs if each.output_type == "stream" and each.name == "stderr"
         ),
+        films=[
+            (
+                len(each.data["image/gif"]) * 3 // 4,
+                each.metadata.get("image/gif", {}).get("alt", ""),
+            )
+            for each in outputs
+            if "image/gif" in each.get("data", {})
+        ],
         pictures=sum("image/png" in each.get("data", {}) for each in outputs),
         errors=[each.ename for each in outputs if each.output_type == "error"],
     )

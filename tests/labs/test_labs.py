@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from falconwing_kit.tools.grading.find import lab_folders, load_checks, load_judges, notebook_path
 from falconwing_kit.tools.grading.lab import Course, course_constants
@@ -153,6 +154,22 @@ def test_every_exercise_has_its_judges(folder, lab):
         ), name
 
 
+def test_goal_picture_stands_at_the_top_and_goes_along(folder, tmp_path):
+    """At most 60 kB, with words; found from both notebooks, and in the students' folder."""
+    (name,) = re.findall(r"!\[[^\]]{30,}\]\(([^)]+)\)", read_cells(folder / "lab.py")[0].text)
+    assert 4_000 < (folder / name).stat().st_size <= 60_000
+    with Image.open(folder / name) as picture:
+        assert picture.format == "WEBP" and 300 <= picture.width <= 900
+    for solution in (False, True):
+        path = notebook_path(folder, solution=solution)
+        title = "".join(json.loads(path.read_text(encoding="utf-8"))["cells"][0]["source"])
+        (shown,) = re.findall(r"\]\(([^)]*goal[^)]*)\)", title)
+        assert (path.parent / shown).resolve() == (folder / name).resolve()
+    release([folder], tmp_path / "out")
+    copied = tmp_path / "out" / folder.name / name
+    assert copied.read_bytes() == (folder / name).read_bytes()
+
+
 def test_release_holds_no_solution_no_hidden_case_and_no_notes(folder, tmp_path):
     """No line that occurs only between solution markers may occur in a released file."""
     files = release([folder], tmp_path / "out")
@@ -161,7 +178,7 @@ def test_release_holds_no_solution_no_hidden_case_and_no_notes(folder, tmp_path)
         for path in files
         if folder.name in path.parts
     }
-    plain = {"given.py", "checks.py", "cohort.json", "hints.json", "quiz.json", "data"}
+    plain = {"given.py", "checks.py", "cohort.json", "hints.json", "quiz.json", "data", "goal.webp"}
     assert names <= {notebook_path(folder).name, *plain}
     secret, shown = set(), set()
     for cell in read_cells(folder / "lab.py"):

@@ -13,8 +13,15 @@ from falconwing_kit.tools.grading.lab import (
     is_close,
     is_same_answer,
 )
-from falconwing_kit.tools.grading.mine import load_parts
+from falconwing_kit.tools.grading.mine import load_parts, whose
+from falconwing_kit.tools.grading.moving import (
+    moving_figure,
+    moving_pictures,
+    plan_view,
+    side_view,
+)
 from falconwing_kit.tools.grading.public_checks import check, check_quiz
+from falconwing_kit.tools.grading.stopped import borrow, keep_going
 
 __all__ = [
     "Check",
@@ -26,9 +33,16 @@ __all__ = [
     "Lab",
     "Trials",
     "Values",
+    "borrow",
     "check",
     "check_quiz",
     "is_close",
     "is_same_answer",
+    "keep_going",
     "load_parts",
+    "moving_figure",
+    "moving_pictures",
+    "plan_view",
+    "side_view",
+    "whose",
 ]

@@ -241,6 +241,28 @@ def load_parts(which: str | Path = "kit") -> ModuleType:
     return package
 
 
+def whose(parts: ModuleType | None, *modules: str) -> str:
+    """What a lab says about the parts that it runs on: whose each function is, a line a module.
+
+    Args:
+        parts: of `load_parts`, or None for the lab's own data and code.
+        modules: such as "renderer", "expert".
+    """
+    if parts is None:
+        return f"{', '.join(modules)}: the lab's own code and data"
+    record = Path(str(parts.__file__)).with_name(RECORD)
+    functions = json.loads(record.read_text(encoding="utf-8"))["functions"]
+    lines = []
+    for module in modules:
+        here = [each for each in functions if each["part"] == module]
+        mine = [each["function"] for each in here if each["mine"]]
+        kits = [f"{each['function']} ({each['why']})" for each in here if not each["mine"]]
+        said = [f"yours {', '.join(mine)}"] if mine else []
+        said += [f"the kit's {', '.join(kits)}"] if kits else []
+        lines.append(f"{module}: {'; '.join(said)}")
+    return "\n".join(lines)
+
+
 @lru_cache(maxsize=1)
 def _kept() -> ExitStack:
     return ExitStack()

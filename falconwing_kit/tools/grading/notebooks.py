@@ -23,6 +23,9 @@ from falconwing_kit.tools.grading.quiz import SOURCE, answers_line, questions_te
 
 KINDS = ("exercise", "check", "figure", "answer", "quiz")
 YOUR_ANSWER = "*Your answer:*"
+GOAL = (
+    "goal.webp"  # of a lab, a picture of what its student will have made; `labs/goal_pictures.py`
+)
 KIT = ".".join(__version__.split(".")[:2])  # the kit's version in a notebook
 _SOLUTION = re.compile(
     r"^([ \t]*)# BEGIN SOLUTION\n(.*?)^[ \t]*# END SOLUTION[ \t]*(?:\n|\Z)",
@@ -77,8 +80,9 @@ class SourceCell:
         return _SOLUTION.sub(lambda found: found[1] + left, self.text).rstrip("\n")
 
     def for_solution(self) -> str:
-        """The text with the solution, without its markers."""
-        return _MARKER.sub("", self.text).rstrip("\n")
+        """The text with the solution, without its markers; its notebook lies one folder down."""
+        text = self.text.replace(f"]({GOAL})", f"](../{GOAL})") if self.markdown else self.text
+        return _MARKER.sub("", text).rstrip("\n")
 
 
 def read_cells(source: Path) -> list[SourceCell]:

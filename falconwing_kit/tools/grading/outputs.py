@@ -14,7 +14,7 @@ from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.grading.find import notebook_path
 
 LONGEST_CELL_S = 600
-_SHOWN = ("image/png", "text/plain")
+_SHOWN = ("image/png", "image/gif", "text/plain")
 
 
 def write_outputs(folder: Path, out: Path) -> Path:

@@ -2,7 +2,7 @@
 
 OUT/README.md                       the route
 OUT/lab01_sizing/                   notebook, given.py, checks.py, cohort.json, hints.json,
-                                    quiz.json, data/
+                                    quiz.json, goal.webp, data/
 OUT/handouts/STUDENT/lab12_gap/     individual files of each student, for labs that have them
 """
 
@@ -19,7 +19,7 @@ from falconwing_kit.tools.grading.find import load_checks, load_module, notebook
 from falconwing_kit.tools.grading.hints import FILE as HINTS
 from falconwing_kit.tools.grading.hints_library import hints_text
 from falconwing_kit.tools.grading.lab import Course, course_constants
-from falconwing_kit.tools.grading.notebooks import build
+from falconwing_kit.tools.grading.notebooks import GOAL, build
 from falconwing_kit.tools.grading.quiz import FORM, form_text, read_quiz
 from falconwing_kit.tools.grading.records import safe_file_name
 from falconwing_kit.tools.grading.salt import MIN_SALT, course_mark
@@ -99,6 +99,8 @@ def _release_lab(folder: Path, target: Path, salt: str) -> None:
         target / "checks.py",
         without_answers(require_file(folder / "checks.py").read_text(encoding="utf-8")),
     )
+    if (folder / GOAL).is_file():
+        shutil.copyfile(folder / GOAL, target / GOAL)
     if (folder / FOLDER).is_dir():
         shutil.copytree(
             folder / FOLDER, target / FOLDER, ignore=shutil.ignore_patterns("__pycache__", ".*")

@@ -1,0 +1,147 @@
+"""Moving figures of the labs: a drawing function or pictures -> a looping GIF below a cell.
+
+    display(moving_figure(figure, draw, 60, 0.1, "In words: ..."))
+
+GIF is what every notebook page shows, without a player, a kernel or JavaScript.
+"""
+
+import io
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from falconwing_kit.core.checks import Array, InputError
+
+if TYPE_CHECKING:
+    from IPython.display import Image
+    from matplotlib.figure import Figure
+
+LARGEST = 1_000_000  # of one animation [bytes]
+COLOURS = (64, 32, 16)  # as many as fit into LARGEST
+LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#FFFFFF")  # of the labs' figures
+
+
+def moving_figure(
+    figure: "Figure",
+    draw: Callable[[int], object],
+    count: int,
+    seconds: float,
+    words: str,
+    width: int | None = None,
+) -> "Image":
+    """Draw a figure many times and show the pictures as a film.
+
+    Args:
+        figure: made by `matplotlib.figure.Figure`, so that it is not shown by itself.
+        draw: changes the figure to picture number 0, 1, ...
+        count: of the pictures.
+        seconds: that each picture stays.
+        words: what is seen, for those who cannot see it.
+        width: at which it is shown [px]; that of the pictures if None.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas, pictures = FigureCanvasAgg(figure), []
+    for number in range(count):
+        draw(number)
+        canvas.draw()
+        figure.set_layout_engine("none")  # arranged once: quicker, and nothing jumps
+        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+    return moving_pictures(pictures, seconds, words, width)
+
+
+def moving_pictures(
+    pictures: Sequence[Any], seconds: float, words: str, width: int | None = None
+) -> "Image":
+    """Show pictures as a film.
+
+    Args:
+        pictures: each (H, W, 3) or, in grey, (H, W), uint8.
+        seconds: that each stays.
+        words: what is seen, for those who cannot see it.
+        width: at which it is shown [px]; that of the pictures if None.
+    """
+    from IPython.display import Image
+
+    data = gif(pictures, seconds)
+    return Image(data, format="gif", alt=words, width=width or np.shape(pictures[0])[1])
+
+
+def gif(pictures: Sequence[Any], seconds: float) -> bytes:
+    """An endless GIF of at most LARGEST bytes: fewer colours, then fewer pictures until it fits.
+
+    Args:
+        pictures: each (H, W, 3) or (H, W), uint8, at least one.
+        seconds: that each stays, in steps of 0.01 s.
+
+    Raises:
+        InputError: there is none.
+    """
+    from PIL import Image
+
+    if not len(pictures):
+        raise InputError("pictures: expected at least one, got none")
+    images = [Image.fromarray(np.asarray(each, np.uint8)).convert("RGB") for each in pictures]
+    while True:
+        for colours in COLOURS:
+            data = _encode(images, seconds, colours)
+            if len(data) <= LARGEST:
+                return data
+        images, seconds = images[::2], 2.0 * seconds
+
+
+def _encode(images: Sequence[Any], seconds: float, colours: int) -> bytes:
+    from PIL import Image
+
+    width, height = images[0].size
+    some = np.unique(np.linspace(0, len(images) - 1, 12).astype(int))  # share one palette
+    strip = max(height // 4, 1)  # of the colours that thin lines have: no line loses its own
+    sheet = Image.new("RGB", (width, height * len(some) + strip * len(LINES)))
+    for row, number in enumerate(some):
+        sheet.paste(images[number], (0, row * height))
+    for row, colour in enumerate(LINES):
+        sheet.paste(Image.new("RGB", (width, strip), colour), (0, height * len(some) + row * strip))
+    palette = sheet.quantize(colours)
+    few = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in images]
+    buffer = io.BytesIO()
+    few[0].save(
+        buffer,
+        "GIF",
+        save_all=True,
+        append_images=few[1:],
+        duration=round(1000.0 * seconds),
+        loop=0,
+    )
+    return buffer.getvalue()
+
+
+def plan_view(x: float, y: float, yaw: float, span: float = 0.7) -> Array:
+    """Outline of the aircraft from above, to plot or fill: (2, N) [m].
+
+    Args:
+        x, y: its place [m], y to the left of x.
+        yaw: of the nose, positive to the right of x [rad].
+        span: of its wing [m]; larger than life where it must be seen.
+    """
+    half = [(0.45, 0.0), (0.30, 0.06), (0.16, 0.06), (0.16, 0.5), (-0.06, 0.5), (-0.06, 0.06)]
+    half += [(-0.40, 0.04), (-0.40, 0.2), (-0.55, 0.2), (-0.55, 0.0)]
+    other = [(a, -b) for a, b in reversed(half)]
+    along, left = span * np.array(half + other).T
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([x + c * along + s * left, y - s * along + c * left])
+
+
+def side_view(x: float, z: float, pitch: float, length: float = 0.6) -> Array:
+    """Outline of the aircraft from its right side, nose to the right: (2, N) [m].
+
+    Args:
+        x, z: its place along the way and its height [m].
+        pitch: positive nose up [rad].
+        length: of the fuselage [m]; larger than life where it must be seen.
+    """
+    outline = [(0.5, 0.0), (0.35, 0.08), (0.1, 0.1), (-0.35, 0.04), (-0.42, 0.22), (-0.5, 0.22)]
+    outline += [(-0.5, 0.0), (0.0, -0.05), (0.35, -0.07), (0.5, 0.0)]
+    along, up = length * np.array(outline).T
+    c, s = np.cos(pitch), np.sin(pitch)
+    return np.array([x + c * along - s * up, z + s * along + c * up])

@@ -1,0 +1,71 @@
+"""Films of the labs: small enough, every picture in it, its lines in their colours."""
+
+import io
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from falconwing_kit.core.checks import InputError
+from falconwing_kit.tools.grading import (
+    moving,
+    moving_figure,
+    moving_pictures,
+    plan_view,
+    side_view,
+)
+
+
+def test_a_film_has_every_picture_for_its_time_and_never_ends():
+    """Twelve different grey levels, 0.05 s each: read back by Pillow."""
+    film = Image.open(io.BytesIO(moving.gif([np.full((8, 8), 20 * k) for k in range(12)], 0.05)))
+    assert film.n_frames == 12 and film.info["duration"] == 50 and film.info["loop"] == 0
+    film.seek(5)
+    assert abs(int(np.asarray(film.convert("L"))[4, 4]) - 100) <= 20
+
+
+def test_a_film_of_noise_fits_into_its_limit(monkeypatch):
+    """Noise does not compress: 16 pictures of 24 x 32 px are more than 8 kB at 16 colours."""
+    monkeypatch.setattr(moving, "LARGEST", 4_000)
+    pictures = np.random.default_rng(0).integers(0, 256, (16, 24, 32, 3), dtype=np.uint8)
+    data = moving.gif(pictures, 0.1)
+    film = Image.open(io.BytesIO(data))
+    assert len(data) <= 4_000 and 2 <= film.n_frames < 16
+    assert film.n_frames * film.info["duration"] == 1600  # the film lasts as long as before
+
+
+def test_no_picture_is_refused():
+    """A film of nothing."""
+    with pytest.raises(InputError, match="at least one"):
+        moving.gif([], 0.1)
+
+
+def test_a_thin_line_keeps_its_colour_beside_a_photograph():
+    """Green #009E73 beside 100,000 brown pixels; a palette by area alone would drop it."""
+    figure = Figure(figsize=(4.0, 3.0))
+    photo, lines = figure.subplots(1, 2)
+    photo.imshow(np.random.default_rng(0).integers(90, 160, (40, 40, 3), dtype=np.uint8))
+    (line,) = lines.plot([0, 1], [0, 1], color="#009E73")
+    shown = moving_figure(figure, lambda k: line.set_data([0, 1], [0, k]), 3, 0.1, "a line")
+    film = Image.open(io.BytesIO(shown.data))
+    film.seek(2)
+    pixels = np.asarray(film.convert("RGB")).reshape(-1, 3).astype(int)
+    assert (np.abs(pixels - [0x00, 0x9E, 0x73]).max(axis=1) < 24).sum() > 50
+
+
+def test_a_film_has_words_and_its_width():
+    """What a screen reader says, and the size on the page."""
+    shown = moving_pictures([np.zeros((10, 20, 3))], 0.1, "nothing to see", 300)
+    html = shown._repr_mimebundle_()
+    assert "image/gif" in (html[0] if isinstance(html, tuple) else html)
+    assert shown.alt == "nothing to see" and shown.width == 300
+
+
+def test_outlines_turn_and_climb_as_the_kit_counts_angles():
+    """Yaw to the right from +x leads to -y (y is left); pitch up lifts the nose."""
+    nose = plan_view(1.0, 2.0, np.pi / 2.0, span=1.0)[:, 0]
+    assert nose == pytest.approx([1.0, 2.0 - 0.45])
+    right_wing = plan_view(0.0, 0.0, 0.0, span=1.0)
+    assert right_wing[1].min() == -0.5 and right_wing[1].max() == 0.5
+    assert side_view(0.0, 3.0, np.pi / 2.0, length=1.0)[:, 0] == pytest.approx([0.0, 3.5])
