@@ -435,7 +435,7 @@ def test_pictures_are_what_the_command_makes(book):
 
 
 def test_every_picture_shows_its_steps_parts_in_colour():
-    """Orange pixels, at least one in a thousand; of the marker, which is white paper, black ones."""
+    """Orange pixels, at least one in a thousand; of the white marker black ones."""
     for step in STEPS:
         r, g, b = np.moveaxis(pixels((PICTURES / f"{step['id']}.png").read_bytes()), -1, 0)
         orange, ink = (r > g + 30) & (g > b + 20), np.maximum(r, np.maximum(g, b)) < 60
