@@ -17,6 +17,7 @@ SUN = np.array([0.42, -0.30, 0.86])  # where the light comes from: ahead, right,
 NEW, OLD = np.array([240.0, 140.0, 40.0]), np.array([226.0, 228.0, 230.0])
 INK = np.array([45.0, 45.0, 45.0])  # of what is printed black
 PRINTED = ("black cells",)
+PAPER, WHITE = ("marker",), 246.0  # white paper, whatever light falls on it
 DARK, MIDDLE = (25, 25, 25), (120, 120, 120)  # outlines, creases
 SEE_THROUGH = 0.28  # share of a ghost in the image
 STEP_PX = 14.0  # jump of depth that is an outline, oversampled
@@ -126,6 +127,7 @@ def shaded(parts: Sequence[Part], view: View) -> tuple[Mesh, NDArray[np.int64]]:
     colour = np.array([INK if part.name in PRINTED else NEW if part.new else OLD for part in parts])
     seen = owner >= 0
     image[seen] = np.clip(colour[owner[seen]] * light[facet[seen], None] * 1.06, 0.0, 255.0)
+    image[np.isin(owner, [k for k, part in enumerate(parts) if part.name in PAPER])] = WHITE
     outline, crease = _edges(owner, depth, facet, normal)
     image[crease] = 0.45 * image[crease] + 0.55 * np.array(MIDDLE)
     image[outline] = DARK

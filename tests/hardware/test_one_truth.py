@@ -129,17 +129,36 @@ def test_wings_and_body_are_the_papers_in_both_files(built):
     assert simulated.p_body_camera == (0.2, 0.0, 0.0)
 
 
-def test_the_simulated_field_of_view_is_stated_as_the_path_tracers():
-    """77.8 deg in the simulator; the camera's own file states the same and that it is not its data
-    sheet's.
-    """
+def fov_problems(camera_file, facts):
+    """Where camera file and page of facts differ from the simulated lens; one line each."""
     simulated = fpv_camera(640, 480)
     fov_deg = 2.0 * math.degrees(math.atan2(0.5 * simulated.width, simulated.fx))
-    stated = load_camera("analog").image.fov_deg
-    assert stated == pytest.approx(fov_deg, abs=0.1)
+    found = []
+    (line,) = [line for line in camera_file.splitlines() if line.startswith("fov_deg")]
+    stated = float(line.split("#")[0].split("=")[1])
+    if abs(stated - fov_deg) > 0.1:
+        found.append(f"camera file: expected {fov_deg:.1f} deg, got {stated:g}")
+    if "simulated" not in line or "falconwing bench" not in line:
+        found.append("camera file: expected whose lens it is and how yours is measured")
+    if f"field of view {fov_deg:.1f}°" not in facts:
+        found.append(f"page of facts: expected {fov_deg:.1f}°")
+    return found
+
+
+def test_the_simulated_field_of_view_is_stated_as_the_path_tracers():
+    """77.8 deg in the simulator; the camera's own file and the page of facts state the same, and
+    that it is not its data sheet's; a planted other angle and a planted origin are found.
+    """
     text = (ROOT / "hardware" / "camera_analog.toml").read_text(encoding="utf-8")
-    (line,) = [line for line in text.splitlines() if line.startswith("fov_deg")]
-    assert "simulated" in line and "falconwing bench" in line
+    facts = (ROOT / "manual" / "site" / "builder" / "facts.md").read_text(encoding="utf-8")
+    assert load_camera("analog").image.fov_deg == 77.8 and fov_problems(text, facts) == []
+    planted = fov_problems(text.replace("fov_deg = 77.8", "fov_deg = 120.0"), facts)
+    assert planted == ["camera file: expected 77.8 deg, got 120"]
+    planted = fov_problems(text.replace("of the simulated lens", "data sheet"), facts)
+    assert planted == ["camera file: expected whose lens it is and how yours is measured"]
+    assert fov_problems(text, facts.replace("view 77.8°", "view 120°")) == [
+        "page of facts: expected 77.8°"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,10 @@ PAGES = (
     "manual/site/**/*.md",
     "manual/chapters/*.typ",
     "manual/builder/*.toml",
+    "manual/*.toml",
+    "hardware/*.md",
+    "hardware/*.toml",
+    "firmware/*.md",
     "labs/*.md",
 )
 
@@ -63,11 +67,18 @@ def test_a_planted_word_on_a_page_of_the_site_is_reported(tmp_path):
     assert word_problems(tmp_path) == ["manual/site/concepts/loop.md:3: knows"]
 
 
-def test_a_planted_word_in_the_builders_tables_is_reported(tmp_path):
-    """A cell of a table, written here."""
-    (tmp_path / "manual" / "builder").mkdir(parents=True)
-    (tmp_path / "manual" / "builder" / "radio.toml").write_text('why = "the radio wants it"\n')
-    assert word_problems(tmp_path) == ["manual/builder/radio.toml:1: wants"]
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("manual/builder/radio.toml", "manual/assembly.toml", "hardware/checklists.toml"),
+        *("hardware/README.md", "firmware/README.md"),
+    ],
+)
+def test_a_planted_word_in_the_builders_pages_is_reported(tmp_path, name):
+    """A line of a table, of a step, of a checklist or of a guide, written here."""
+    (tmp_path / name).parent.mkdir(parents=True)
+    (tmp_path / name).write_text('why = "the radio wants it"\n')
+    assert word_problems(tmp_path) == [f"{name}:1: wants"]
 
 
 def word_problems(root: Path) -> list[str]:

@@ -327,7 +327,7 @@ def test_limits_of_the_trim_flights_are_computed_right():
     """
     text = page().text
     for words in (
-        "8.8 s a circle at 7.9 m/s",
+        "8.8 s a circle at 7.95 m/s",
         "22.3 m from wall to wall",
         "In 0.5 s it flies 3.7 m and loses 0.6 m/s of speed without thrust",
         "hold the switch for 0.5 s",
