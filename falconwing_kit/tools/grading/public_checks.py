@@ -295,7 +295,7 @@ def check_quiz(quiz: Mapping[int, Any]) -> None:
         quiz: the dictionary of the quiz cell; what counts is the text of the cell, as for grading.
     """
     try:
-        questions, known = quiz_here(_lab_here()[0])
+        questions, known = quiz_here(lab_here()[0])
         text = _cell_text() or f"quiz = {dict(quiz)!r}"
         answers, problem = read_answers(Notebook((SubmittedCell(True, text, "quiz", "quiz"),)))
         lines = quiz_lines(questions, mark_answers(questions, answers, known=known), known)
