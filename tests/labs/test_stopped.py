@@ -63,6 +63,14 @@ def test_a_function_that_fails_shows_its_traceback_and_the_next_cell_runs():
     assert second.printed.strip() == "next"
 
 
+def test_an_unwritten_method_is_named_by_its_class():
+    """The exercise is the class; nobody looks for `__init__`."""
+    stub = "class min_speed:\n    def __init__(self):\n        raise NotImplementedError('write it')"
+    _, used, after = run_cells(stub, "speed = min_speed()", "print('next')")
+    assert used.error == "" and "This cell needs your min_speed, which is not" in used.printed
+    assert after.printed.strip() == "next"
+
+
 def test_what_a_stopped_cell_would_have_made_is_traced_back_to_the_function():
     """`speed` is missing because `min_speed` is; once it is there, nothing is said any more."""
     stub = "def min_speed(m):\n    raise NotImplementedError('write min_speed')"

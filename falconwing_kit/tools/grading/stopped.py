@@ -164,11 +164,11 @@ def _exercises() -> Sequence[str]:
 
 
 def _functions(trace: Any) -> Iterator[str]:
-    """Functions of the notebook that an exception passed through, the outermost first."""
+    """The notebook's functions and classes in an exception's trace, the outermost first."""
     while trace is not None:
         frame = trace.tb_frame
         if frame.f_globals.get("__name__") == NOTEBOOK:
-            yield frame.f_code.co_name
+            yield frame.f_code.co_qualname.split(".")[0]  # a method counts as its class
         trace = trace.tb_next
 
 
