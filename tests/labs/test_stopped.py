@@ -65,7 +65,9 @@ def test_a_function_that_fails_shows_its_traceback_and_the_next_cell_runs():
 
 def test_an_unwritten_method_is_named_by_its_class():
     """The exercise is the class; nobody looks for `__init__`."""
-    stub = "class min_speed:\n    def __init__(self):\n        raise NotImplementedError('write it')"
+    stub = (
+        "class min_speed:\n    def __init__(self):\n        raise NotImplementedError('write it')"
+    )
     _, used, after = run_cells(stub, "speed = min_speed()", "print('next')")
     assert used.error == "" and "This cell needs your min_speed, which is not" in used.printed
     assert after.printed.strip() == "next"
