@@ -12,6 +12,7 @@ from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.trim import linearise, trim
 from falconwing_kit.control.inverse import design_model, true_state
 from falconwing_kit.control.loops import LINK_DELAY_S, SPEED, model_key
+from falconwing_kit.control.riccati import predicted_covariance
 from falconwing_kit.core.checks import Array, require_range
 from falconwing_kit.core.messages import CONTROL_PERIOD_S, Observation, State
 
@@ -107,17 +108,14 @@ class Observer:
 @lru_cache(maxsize=32)
 def _kalman_gain(form, terms, winds, parameters, values, speed):  # type: ignore[no-untyped-def]
     """L (12, 6) for pose innovations, in axes along the aircraft's heading."""
-    import control
-
     model = Model(form, terms, winds, parameters, dict(values))
     A, _ = linearise(model, trim(model, speed), CONTROL_PERIOD_S)
     G, C = np.eye(12)[:, 6:], np.eye(12)[:6]
     process_noise, measurement_noise = (
         np.diag(np.repeat(np.square(sigmas), 3)) for sigmas in (PROCESS_SIGMA, MEASUREMENT_SIGMA)
     )
-    P = np.asarray(
-        control.dlqe(A, G, C, process_noise, measurement_noise)[1], np.float64
-    )  # before the pose is taken in
+    # before the pose is taken in
+    P = predicted_covariance(A, C, G @ process_noise @ G.T, measurement_noise)
     return P @ C.T @ np.linalg.inv(C @ P @ C.T + measurement_noise)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from falconwing_kit.aircraft.model import Model
 from falconwing_kit.aircraft.trim import Trim, linearise, trim
 from falconwing_kit.control.inverse import KIT_SPEED, CommandMap, design_model, wind_velocity
+from falconwing_kit.control.riccati import lqr_gain
 from falconwing_kit.core.checks import Array, InputError, require_range, require_shape
 from falconwing_kit.core.frames import wrap_angle
 from falconwing_kit.core.messages import (
@@ -119,8 +120,6 @@ def design_loop(
     Raises:
         InputError: the model has no body rates, cannot be trimmed, or cannot be stabilised.
     """
-    import control
-
     if model.form != "rates":
         raise InputError(
             "model: expected the 12-state model (rates_model), got the 9-state model, which has no"
@@ -148,12 +147,12 @@ def design_loop(
     sizes = np.array([*axis.states.values(), *[np.inf] * n_delayed, *axis.integrals.values()])
     travels = np.array(list(axis.control_inputs.values()))
     try:
-        gain = control.dlqr(A, B, np.diag(sizes**-2.0), np.diag(travels**-2.0))[0]
+        gain = lqr_gain(A, B, np.diag(sizes**-2.0), np.diag(travels**-2.0))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise InputError(
             f"model: no gain stabilises it at {speed:g} m/s ({error}); check the model's values"
         ) from None
-    loop = ClosedLoop(axis, A, B, np.asarray(gain, np.float64))
+    loop = ClosedLoop(axis, A, B, gain)
     if not np.abs(loop.poles).max() < 1.0:
         raise InputError(f"model: no gain stabilises it at {speed:g} m/s; check the model's values")
     return loop

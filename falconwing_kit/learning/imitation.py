@@ -253,7 +253,8 @@ def _train_for(
     """Train for some seconds; the mean losses of it: over the policies, of each, and of masks."""
     end, losses = time.perf_counter() + max(budget, 0.0), list[Tensor]()
     while not losses or time.perf_counter() < end:
-        share = (time.perf_counter() - begin) / seconds
+        # of no seconds at all, the whole schedule has passed
+        share = (time.perf_counter() - begin) / seconds if seconds > 0.0 else 1.0
         losses.append(train_together(learners, data, ranges, share))
         if learners[0].device == "cuda" and len(losses) % 8 == 0:
             torch.cuda.synchronize()  # or the clock would run ahead of the GPU

@@ -212,7 +212,8 @@ def draw_hall(p_world: np.ndarray, placed: dict[str, np.ndarray]) -> None:
     above.fill([1.0, 14.0, 14.0, 1.0], [-3.0, -3.0, -1.0, -1.0], color="#9fc5e8", label="pad")
     above.plot([0.0, 0.0], [-0.4, 0.4], color=GREEN, linewidth=5, label="marker")
     names = list(placed)
-    for name, colour, look in ((names[0], ORANGE, "x"), (names[-1], BLUE, "o")):
+    # the first and the last recipe that work
+    for name, colour, look in zip(names[:1] + names[-1:], (ORANGE, BLUE), "xo", strict=False):
         p = placed[name]
         above.plot(
             *np.stack([p_world[:, :2], p[:, :2]]).transpose(2, 0, 1), color=colour, linewidth=0.7
