@@ -18,8 +18,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from given import COHORT
 
-from falconwing_kit.tools.grading import check
+from falconwing_kit.tools.grading import check, keep_going
 
+keep_going()  # a missing function stops only the cells that need it
 print("your course:", COHORT)
 
 # %% [markdown]

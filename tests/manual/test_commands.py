@@ -35,6 +35,7 @@ MACHINE = {
 }
 
 
+ASSEMBLY = ("falconwing size --parts mine.csv", "falconwing print pad --paper A3 --out prints")
 NO_COMMANDS = {
     "source .venv/bin/activate",
     "python3 start.py",
@@ -65,14 +66,21 @@ def test_no_command_escapes():
     known = {line for _, line in commands()}
     known |= set(re.findall(r"`([^`]+)`", (MANUAL / "03_paper_map.md").read_text("utf-8")))
     known |= {f"falconwing {name}" for name, *_ in VERBS} | {"falconwing"}
-    known |= {
-        "falconwing size --parts kit"
-    }  # in assembly.toml; typed here because chapter 3 prints it too
+    # in assembly.toml; the first is typed here because chapter 3 prints it too
+    known |= {"falconwing size --parts kit", *ASSEMBLY}
     shown = {found["text"] for found in elements("raw")}
     typed = re.compile(r"falconwing(?: |$)|python3? |\.venv/|pip |py |source ")
     assert {text for text in shown if typed.match(text)} - known <= NO_COMMANDS
     assert "falconwing size --parts kit" in RUNS and len(RUNS) >= 15
     assert {line for kind, line in commands() if kind == "machine"} == MACHINE
+
+
+@pytest.mark.parametrize("line", ASSEMBLY)
+def test_commands_of_the_assembly_run(line, tmp_path, monkeypatch):
+    """With the kit's own list under the builder's name."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "hardware" / "parts.csv", "mine.csv")
+    assert main(shlex.split(line)[1:]) == 0
 
 
 @pytest.mark.filterwarnings("ignore:the calibration")
