@@ -252,7 +252,7 @@ def test_nothing_is_fetched_when_it_is_read_or_built():
     sources = [
         path.read_text("utf-8") for path in [*MANUAL.glob("*.typ"), *MANUAL.glob("chapters/*.typ")]
     ]
-    assert len(sources) == 13 and not any("@preview" in text for text in sources)
+    assert len(sources) == 14 and not any("@preview" in text for text in sources)
 
 
 def test_honest_status_is_said_before_anything_is_bought():
