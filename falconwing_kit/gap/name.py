@@ -58,8 +58,8 @@ from falconwing_kit.sysid.uncertainty import uncertainty
 Verdict = Literal["named", "ambiguous", "none", "outside"]
 
 REFITS = 5  # full fits after the linear scan at least; more while another effect could still win
-# No full fit of an effect whose linear evidence is below this share of the best full fit's: on the
-# ten labelled flights a full fit gave 0.97 to 1.03 times linear evidence over 25, or none.
+# No full fit of an effect whose linear evidence is below this share of the best full fit's: on
+# eight labelled flights a full fit gave 0.96 to 1.03 times linear evidence over 25, or none.
 HOPELESS_SHARE = 0.1
 # The first round of fits stops where a step lowers the cost by less; the second continues it.
 COARSE_TOLERANCE = 2.0
