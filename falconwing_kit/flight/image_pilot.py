@@ -14,6 +14,7 @@ from falconwing_kit.flight.sources import decode_jpeg
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.vision.images import Pixels
 from falconwing_kit.vision.layers import SMALLEST_DEVIATION, Array32
+from falconwing_kit.vision.occlusion import Seen
 from falconwing_kit.vision.policy import Policy, policy_inputs
 
 LOST_AFTER_S = 1.0  # without a new image the commands are guesses; training had 0.55 s at most
@@ -37,15 +38,17 @@ class ImagePilot:
         Raises:
             InputError: the camera lacks more than a quarter of the trained field of view.
         """
-        self._policy, self._camera, self._p_body_camera = policy, camera, p_body_camera
+        self.policy, self._camera, self._p_body_camera = policy, camera, p_body_camera
         policy.encode(policy.resample(_black(camera), camera))  # refuses, and warms up
         self.reset()
 
     def reset(self) -> None:
         """Begin a new flight."""
-        self._memory = self._policy.start_memory()
-        self._features = np.zeros(self._policy.shape.features, np.float32)
+        self._memory = self.policy.start_memory()
+        self._features = np.zeros(self.policy.shape.features, np.float32)
         self._last: Image | None = None  # the newest image that was used
+        self._pixels: Array32 | None = None  # of it, resampled
+        self.seen: Seen | None = None  # what the last command was made of; None before an image
         self._begin = math.nan  # time of the first step [s]
         self.mode = "approach"
 
@@ -62,8 +65,10 @@ class ImagePilot:
         self.mode = f"policy, predicting: {note}" if note else "policy"
         age = math.nan if self._last is None else t - self._last.t
         past_commands = finite_commands(observation.past_commands)
-        inputs = policy_inputs(past_commands, age, self._p_body_camera, self._policy.shape.history)
-        commands, self._memory = self._policy.step(self._features, inputs, self._memory)
+        inputs = policy_inputs(past_commands, age, self._p_body_camera, self.policy.shape.history)
+        if self._pixels is not None:
+            self.seen = Seen(self._pixels, inputs, self._memory)
+        commands, self._memory = self.policy.step(self._features, inputs, self._memory)
         sequence = -1 if self._last is None else self._last.sequence
         throttle, aileron, elevator, rudder = commands.tolist()
         return Command.clip(throttle, aileron, elevator, rudder, image_sequence=sequence)
@@ -79,12 +84,13 @@ class ImagePilot:
         if not isinstance(image.pixels, np.ndarray):
             return "image of another size or kind"
         try:
-            pixels = self._policy.resample(decode_jpeg(image), self._camera)
+            pixels = self.policy.resample(decode_jpeg(image), self._camera)
         except InputError:
             return "image of another size or kind"
         if note := blank_or_noise(pixels):
             return note
-        self._features, self._last = self._policy.encode(pixels), image
+        self._features, self._last = self.policy.encode(pixels), image
+        self._pixels = pixels
         return ""
 
 

@@ -121,8 +121,8 @@ def test_the_landing_by_colours_and_the_following_by_both_are_the_students():
     for task, name, sees in (("landing", "rgb", "rgb"), ("follow", "rgb_mask", "rgb_mask")):
         student = load_pilot("student", task, camera=CAMERA)
         same = load_pilot(name, task, camera=CAMERA)
-        assert same._policy is student._policy and same._policy.shape.sees == sees
-    assert load_pilot("rgb", "follow", camera=CAMERA)._policy.shape.sees == "rgb"
+        assert same.policy is student.policy and same.policy.shape.sees == sees
+    assert load_pilot("rgb", "follow", camera=CAMERA).policy.shape.sees == "rgb"
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from falconwing_kit.core.flight_log import (
 )
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.messages import CONTROL_PERIOD_S
+from falconwing_kit.flight.image_pilot import ImagePilot
 from falconwing_kit.flight.loop import (
     Clock,
     Loop,
@@ -48,8 +49,11 @@ from falconwing_kit.tools.bridge.python_board import PythonBoard
 from falconwing_kit.tools.bridge.through_port import PortWorld
 from falconwing_kit.tools.classroom.supervise import PACED_LIMITS
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, figure, render
+from falconwing_kit.vision.occlusion import PATCH_PX, STRIDE_PX, Seen, occlusion_sensitivity
+from falconwing_kit.vision.policy import Policy
 
 PART = Path(__file__).with_name("approach.html.j2")
+SEEN = "flight_seen.png"
 FIGURES = ("flight_fpv.png", "flight_path.png", "flight_sticks.png", "flight_film.png")
 PORT = "sim-python"  # the simulated board of the approach
 CAMERA_PILOT, TRAINED_SCENES = "student", ("hall", "hall_analog")
@@ -70,6 +74,8 @@ class Approach:
     result: dict[str, Any]  # of the evaluation: success, ald_m, sink_rate_m_s, ...
     hall: str = ""  # source of the scene
     pilot: str = "expert"
+    policy: Policy | None = None  # of a pilot by images
+    seen: tuple[tuple[float, Seen], ...] = ()  # time [s], and what its command was made of
 
     @property
     def end(self) -> str:
@@ -109,6 +115,12 @@ def fly_approach(
     trial, camera = task.trial(trial_seed(0, seed)), fpv_camera()
     name = approach_pilot(scene_name)
     pilot: Pilot = task.expert(trial)
+    seen: list[tuple[float, Seen]] = []
+
+    def look(step: LoopStep) -> None:
+        if isinstance(pilot, ImagePilot) and pilot.seen is not None:
+            seen.append((step.t, pilot.seen))
+
     if name == CAMERA_PILOT:
         pilot = load_pilot(name, camera=camera, p_body_camera_m=task.airframe.p_body_camera)
     partial = log.with_name(f".{log.name}.part")
@@ -128,7 +140,7 @@ def fly_approach(
                 MeasuredStates(world),  # for the log; a pilot by images does not read them
                 clock=clock or SimulatedClock(),
                 log=writer,
-                hooks=tuple(hooks),
+                hooks=(look, *hooks),
                 supervisor=Supervisor(PACED_LIMITS),
             )
             flight = loop.run(trial.duration, judge.watch)
@@ -139,7 +151,8 @@ def fly_approach(
         raise write_error(log, error) from None
     finally:
         partial.unlink(missing_ok=True)
-    return Approach(log, flight, judge.result(), scene.source, name)
+    policy = pilot.policy if isinstance(pilot, ImagePilot) else None
+    return Approach(log, flight, judge.result(), scene.source, name, policy, tuple(seen))
 
 
 def approach_pilot(scene_name: str) -> str:
@@ -162,6 +175,15 @@ def _modes(log: FlightLog) -> list[tuple[float, Any]]:
 def is_simulated(log: FlightLog) -> bool:
     """Whether a log's metadata marks it as simulated."""
     return log.metadata.get("simulated") == "yes"
+
+
+def draw_approach(approach: Approach, folder: Path) -> tuple[Path, ...]:
+    """Write the figures of `draw_flight`, and where a pilot by images looks (flight_seen.png)."""
+    paths = draw_flight(approach.log, folder)
+    if approach.policy is None or not approach.seen:
+        return paths
+    draw_sensitivity(approach.policy, approach.seen, folder / SEEN)
+    return *paths, folder / SEEN
 
 
 def draw_flight(path: Path, folder: Path) -> tuple[Path, ...]:
@@ -214,6 +236,39 @@ def draw_strip(log: FlightLog, table: FlightTable, path: Path, what: str) -> Non
             ax.set_axis_off()
         axes[0, 0].figure.suptitle(
             f"{what}: onboard camera view", x=0.01, ha="left", fontweight="bold"
+        )
+
+
+def draw_sensitivity(policy: Policy, seen: Sequence[tuple[float, Seen]], path: Path) -> None:
+    """Draw what moves a pilot's command in a few images, evenly spaced in time.
+
+    Args:
+        policy: that flew.
+        seen: time [s], and what its command was made of, of every step.
+        path: the PNG to write.
+    """
+    chosen = [seen[k] for k in np.linspace(0, len(seen) - 1, STRIP_IMAGES).round().astype(int)]
+    maps = [occlusion_sensitivity(policy, what) for _, what in chosen]
+    with figure(path, 2, STRIP_IMAGES // 2, (8.0, 4.9)) as axes:
+        for ax, (t, what), change in zip(axes.flat, chosen, maps, strict=True):
+            ax.imshow(what.image)
+            # each square's middle part, which no other square's covers
+            rows, columns = change.shape
+            low = 0.5 * (PATCH_PX - STRIDE_PX) - 0.5
+            extent = (low, low + STRIDE_PX * columns, low + STRIDE_PX * rows, low)
+            drawn = ax.imshow(
+                change, cmap="inferno", alpha=0.55, extent=extent, vmin=0.0, vmax=change.max(),
+                interpolation="bilinear",
+            )  # fmt: skip
+            ax.set_xlim(-0.5, what.image.shape[1] - 0.5)
+            ax.set_ylim(what.image.shape[0] - 0.5, -0.5)
+            ax.set_title(f"{t:.1f} s: up to {change.max():.2f}")
+            ax.set_axis_off()
+        bar = axes[0, 0].figure.colorbar(drawn, ax=axes, shrink=0.8, ticks=[0.0, change.max()])
+        bar.ax.set_yticklabels(["none", "most"])
+        bar.set_label("change of the command where hidden")
+        axes[0, 0].figure.suptitle(
+            "SIMULATION: where the pilot looks", x=0.01, ha="left", fontweight="bold"
         )
 
 
@@ -389,7 +444,7 @@ def approach_record(approach: Approach) -> dict[str, Any]:
 
 
 def approach_section(approach: Approach, folder: Path) -> str:
-    """The approach on the demo's page, as HTML; `folder` holds the figures of `draw_flight`."""
+    """The approach on the demo's page, as HTML; `folder` holds the figures of `draw_approach`."""
     fpv, along, sticks, film = (folder / name for name in FIGURES)
     return render(
         PART,
@@ -403,4 +458,6 @@ def approach_section(approach: Approach, folder: Path) -> str:
         along=along,
         sticks=sticks,
         film=film,
+        seen=folder / SEEN if approach.seen else None,
+        patch=PATCH_PX,
     )

@@ -34,7 +34,7 @@ from falconwing_kit.tools.demo.approach import (
     Approach,
     approach_record,
     approach_section,
-    draw_flight,
+    draw_approach,
 )
 from falconwing_kit.tools.demo.figures import draw_identification
 from falconwing_kit.tools.demo.sport_cub import (
@@ -108,7 +108,7 @@ def write_recorded_flights(
     """
     record = ({"approach": approach_record(approach)} if approach else {}) | demo_record(found)
     if approach:
-        draw_flight(approach.log, folder)
+        draw_approach(approach, folder)
     draw_identification(found.small, folder)
     gap = found.small_gap
     draw_map(gap.flight_replay, gap.baseline_replay, folder / "gap_map.png")

@@ -26,6 +26,7 @@ from falconwing_kit.tools.demo.approach import (
     FIGURES,
     approach_record,
     approach_section,
+    draw_approach,
     draw_film,
     draw_flight,
     fly_approach,
@@ -218,6 +219,7 @@ def test_missed_landing_is_owned_up_to(approach, figures):
         hall="",
         pilot="expert",
         end="why",
+        seen=(),
     )
     text = approach_section(missed, approach.log.parent)
     assert "It did not land on the pad</strong> (why)" in text
@@ -359,3 +361,7 @@ def test_the_trained_hall_is_landed_in_by_images_alone(tmp_path):
     answered = [command.image_sequence for command in log.commands]
     assert answered[:60] == list(range(60))
     assert approach_record(flown)["pilot"] == "student"
+    t = [t for t, _ in flown.seen]
+    assert t == pytest.approx(flown.flight.t[: len(t)]) and len(t) > 60
+    assert (tmp_path / "flight_seen.png") in draw_approach(flown, tmp_path)
+    assert "Where the pilot looks" in approach_section(flown, tmp_path)
