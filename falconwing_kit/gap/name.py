@@ -241,8 +241,11 @@ def _decide(
     if chosen:
         margin = max(threshold, GENERIC_MARGIN * explained_bic)
         is_generic_better = _evidence_over(base, windows, generic, adding_up) > margin
-    else:
-        is_generic_better = generic.delta_bic > GENERIC_EVIDENCE
+    else:  # and no excess over the baseline, no "outside"
+        is_generic_better = (
+            generic.delta_bic > GENERIC_EVIDENCE
+            and _evidence_of_change(base, windows, generic) >= VERY_STRONG_EVIDENCE
+        )
     # Parameters that moved so far may imitate any effect, unless that is little compared with what
     # the effect itself explains.
     if is_generic_better or (
