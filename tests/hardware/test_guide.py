@@ -69,7 +69,7 @@ def test_numbers_are_those_of_the_list():
     behind = 1000.0 * (built.propeller.x - built.p_body_camera[0])
     above = -1000.0 * built.p_body_camera[2]
     assert f"{above:.0f} mm above the propeller's axis and {behind:.0f} mm behind its disc" in text
-    assert whole.cost == pytest.approx(1000.0, abs=50.0) and "about 1,000 US dollars" in GUIDE
+    assert whole.cost == pytest.approx(1058.4, abs=0.05) and "about 1,058 US dollars" in GUIDE
 
 
 def test_numbers_are_those_of_the_filter():

@@ -151,7 +151,7 @@ def test_list_of_parts_gives_mass_balance_and_cost(capsys):
     assert balance["cg_mm"] == pytest.approx(32.953, abs=1e-3)
     assert balance["cg_percent_chord"] == pytest.approx(30.35, abs=0.01)
     assert balance["battery_move_mm"] == pytest.approx(25.8, abs=0.1)
-    assert record["costs_usd"]["sum"] == pytest.approx(1007.4)
+    assert record["costs_usd"]["sum"] == pytest.approx(1058.4)
     assert record["paper_sums"][0]["over_stated_g"] == pytest.approx(1.0)
 
 
