@@ -1,5 +1,5 @@
 """Lab 5, hidden: random problems, solved by design matrices, dense least squares, loops, SVD
-and quadrature.
+and quadrature; a shooting fit is asked for what one more Newton step would gain.
 """
 
 from collections.abc import Mapping
@@ -7,12 +7,21 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from given import GUESS, PRIOR_SIGMA, predict, step
+from given import SIGMA as POSE_SIGMA
 
-from falconwing_kit.tools.grading import Course, Judge, Values
+from falconwing_kit.tools.grading import Course, Function, Judge, Trials, Values
 
 Array = np.ndarray
 SIGMA = np.array([0.03, 0.05, 0.012])
 GRAVITY = 9.8  # m/s^2
+SHOTS = {  # passes, rows, steps between nodes, scale of the links
+    "linked": (2, 13, 4, 1.0),
+    "one step": (1, 13, 1, 1.0),
+    "one segment": (1, 21, 20, 10.0),
+    "tight": (2, 16, 5, 0.02),
+}
+GAIN = 0.02  # of the sum of squares that an answer may have left; a standard deviation is 1
 
 
 def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
@@ -28,6 +37,7 @@ def judges(course: Course) -> Mapping[str, tuple[Judge, ...]]:
             Values(_draw_fit, partial(_intervals, level=level), cases=10, rtol=1e-5, atol=1e-8),
         ),
         "holdout_score": (Values(_draw_windows, _score, cases=10),),
+        "multiple_shooting": tuple(Trials(partial(_shoots, kind=kind), trials=1) for kind in SHOTS),
         "forecast_turn": (Values(_draw_turns, _turns, cases=10, rtol=1e-6, atol=1e-6),),
     }
 
@@ -157,3 +167,54 @@ def _turns(p: Array, v: Array, roll: Array, horizon: Array) -> tuple[Array, Arra
     # y is to the left: a turn to the right multiplies vx + i vy by exp(-i rate t)
     path = simpson((v[:, 0] + 1j * v[:, 1]) * np.exp(-1j * rate * t), x=t, axis=0)
     return p + np.stack([path.real, path.imag, v[:, 2] * horizon], axis=1), rate * horizon
+
+
+def _shoots(student: Function, rng: np.random.Generator, kind: str) -> bool:
+    """Whether an answer is where the sum of squares ends to fall, and below that of the truth."""
+    passes, rows, steps, scale = SHOTS[kind]
+    link = scale * rng.uniform(0.5, 1.5, 5) * np.array([0.02, 0.02, 0.01, 0.05, 0.05])
+    K = GUESS + PRIOR_SIGMA * rng.uniform(-0.4, 0.4, 8)
+    commands = np.array([0.6, 0.1]) + rng.uniform(-0.3, 0.3, (passes, rows, 2))
+    middle, spread = np.array([-8.0, 2.0, 0.13, 7.0, 0.0]), np.array([1.0, 0.3, 0.03, 0.4, 0.2])
+    starts = middle + spread * rng.normal(size=(passes, 5))
+    poses = predict(K, starts, commands) + POSE_SIGMA * rng.normal(size=(passes, rows, 3))
+    for one in poses:  # one value is missing, the others of the frame are far off
+        for row in rng.choice(rows, 2, replace=False):
+            one[row] += np.array([3.0, -1.0, 0.5])
+            one[row, rng.integers(3)] = np.nan
+    flown = [starts]
+    for k in range(rows - 1):
+        flown.append(step(flown[-1].T, commands[:, k].T, K).T)
+    truth = np.concatenate([K, np.stack(flown[::steps], axis=1).ravel()])
+    answer = student(poses.copy(), commands.copy(), steps, link.copy())
+    if not isinstance(answer, tuple | list) or len(answer) != 2:
+        return False
+    found, nodes = (np.asarray(part, dtype=float) for part in answer)
+    if found.shape != (8,) or nodes.shape != (passes, (rows - 1) // steps + 1, 5):
+        return False
+    z = np.concatenate([found, nodes.ravel()])
+    moves = np.vstack([np.zeros(len(z)), 1e-6 * np.eye(len(z)), truth - z])
+    r = _shooting(z + moves, poses, commands, steps, link)
+    if not np.isfinite(r).all():
+        return False
+    slopes = (r[1:-1] - r[0]).T / 1e-6
+    left = r[0] - slopes @ np.linalg.lstsq(slopes, r[0])[0]
+    return bool(r[0] @ r[0] - left @ left < GAIN and r[0] @ r[0] < r[-1] @ r[-1])
+
+
+def _shooting(z: Array, poses: Array, commands: Array, steps: int, link: Array) -> Array:
+    """All terms of the sum, of many unknowns (n, ...) at once, pass by pass."""
+    K = z[:, :8]
+    nodes = z[:, 8:].reshape(len(z), len(poses), -1, 5)
+    terms = [(K - GUESS) / PRIOR_SIGMA]
+    for p, rows in enumerate(poses):
+        x = nodes[:, p, 0]
+        for k, row in enumerate(rows):
+            if k:
+                x = step(x.T, commands[p, k - 1], K.T).T
+            if k and k % steps == 0:
+                terms.append((x - nodes[:, p, k // steps]) / link)
+                x = nodes[:, p, k // steps]
+            if np.isfinite(row).all():
+                terms.append((x[:, :3] - row) / POSE_SIGMA)
+    return np.concatenate(terms, axis=1)

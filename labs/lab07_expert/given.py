@@ -329,7 +329,8 @@ def draw_approaches(flights: Sequence[Mapping[str, Any]]) -> None:
         ax.plot(track[:, 0], track[:, 1], line, color=colour, label=label)
         ax.plot(track[-1:, 0], track[-1:, 1], "o", color=colour)
     ax.set(title="SIMULATED landings, from above", xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    ax.legend(fontsize="small", loc="lower right")
+    ax.set(ylim=(y_low - 3.5, y_high + 1.0))  # room for the legend below the wall
+    ax.legend(fontsize="small", loc="lower center", ncols=4)
 
 
 def draw_circuit(flight: dict[str, np.ndarray]) -> None:
@@ -353,9 +354,10 @@ def draw_circuit(flight: dict[str, np.ndarray]) -> None:
     above.plot(flight["p_world"][:, 0], flight["p_world"][:, 1], color=BLUE, label="flown")
     above.plot(*flight["p_world"][0, :2], "o", color=BLUE, label="start")
     above.set(title="SIMULATED, from above", xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    above.set(ylim=(-13.5, 12.5))
     bank.plot(flight["t"], np.degrees(flight["bank"]), "--", color=ORANGE, label="commanded")
     bank.plot(flight["t"], np.degrees(flight["roll"]), color=BLUE, label="flown")
-    bank.set(xlabel="time [s]", ylabel="bank [deg], right wing down positive")
+    bank.set(xlabel="time [s]", ylabel="bank [deg], right wing down positive", ylim=(-60, 40))
     margin.plot(flight["t"], flight["margin"], color=BLUE, label="speed over stall speed")
     margin.axhline(1.0, color="black", linestyle=":", label="stall")
     margin.set(xlabel="time [s]", ylabel="stall margin [-]", ylim=(0.9, 1.7))
@@ -363,9 +365,9 @@ def draw_circuit(flight: dict[str, np.ndarray]) -> None:
         (("throttle", "-"), ("aileron", "--"), ("elevator", "-."), ("rudder", ":"))
     ):
         sticks.plot(flight["t"], flight["sticks"][:, column], line, label=name)
-    sticks.set(xlabel="time [s]", ylabel="commands, share of full range", ylim=(-1.05, 1.05))
+    sticks.set(xlabel="time [s]", ylabel="commands, share of full range", ylim=(-1.05, 1.35))
     for ax in (above, bank, margin, sticks):
-        ax.legend(fontsize="small", loc="upper right")
+        ax.legend(fontsize="small", loc="upper center", ncols=4)  # above all curves
 
 
 def draw_landing(flights: dict[str, dict[str, np.ndarray]]) -> None:

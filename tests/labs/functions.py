@@ -86,6 +86,14 @@ class LabHere:
         ]
         return sum(map(right, verdicts)) / len(verdicts)
 
+    def is_right(self, name: str, function: Function, seed: int = 0) -> bool:
+        """Whether `score` is 1: the cases are asked until one is wrong."""
+        rng = np.random.default_rng([seed, *name.encode()])
+        verdicts = (
+            verdict for judge in self.judges[name] for verdict in judge.verdicts(function, rng)
+        )
+        return all(map(right, verdicts))
+
 
 def right(verdict) -> bool:
     """A case, asked; what the function raises is no point."""

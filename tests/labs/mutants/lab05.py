@@ -120,6 +120,70 @@ MUTANTS = {
             "np.isin(np.arange(len(of_pass)), held_passes)",
         ),
     ),
+    "multiple_shooting": (
+        ("segments are not linked", "nodes[:, :, 1:]) / sigma_link", "nodes[:, :, 1:]) * 0.0"),
+        (
+            "links of the pose alone, not of the velocity",
+            "nodes[:, :, 1:]) / sigma_link",
+            "nodes[:, :, 1:]) / sigma_link * np.array([1.0, 1.0, 1.0, 0.0, 0.0])",
+        ),
+        ("links are not in sigmas", "nodes[:, :, 1:]) / sigma_link", "nodes[:, :, 1:])"),
+        (
+            "links over the variance",
+            "nodes[:, :, 1:]) / sigma_link",
+            "nodes[:, :, 1:]) / sigma_link**2",
+        ),
+        (
+            "one sigma for all links",
+            "nodes[:, :, 1:]) / sigma_link",
+            "nodes[:, :, 1:]) / sigma_link.mean()",
+        ),
+        (
+            "a segment is linked to its own node",
+            "np.moveaxis(x, 0, -1) - nodes[:, :, 1:]",
+            "np.moveaxis(x, 0, -1) - nodes[:, :, :-1]",
+        ),
+        ("poses are not in sigmas", "(predicted - measured) / SIGMA", "(predicted - measured)"),
+        ("no prior", "(K - GUESS) / PRIOR_SIGMA", "(K - GUESS) * 0.0"),
+        ("the prior is zero, not the guess", "(K - GUESS) / PRIOR_SIGMA", "K / PRIOR_SIGMA"),
+        ("the prior over its variance", "/ PRIOR_SIGMA", "/ PRIOR_SIGMA**2"),
+        ("the prior counts in every pass", "/ PRIOR_SIGMA", "/ PRIOR_SIGMA * np.sqrt(passes)"),
+        (
+            "a missing value counts as zero",
+            "np.where(known, (predicted - measured) / SIGMA, 0.0)",
+            "(predicted - measured) / SIGMA",
+        ),
+        (
+            "a missing value spoils its channel only",
+            "np.where(known, (predicted - measured) / SIGMA, 0.0)",
+            "np.where(np.isfinite(poses), (predicted - np.nan_to_num(poses)) / SIGMA, 0.0)",
+        ),
+        (
+            "the last row is not compared",
+            "[flown, nodes[:, :, -1:, :3]], axis=2)",
+            "[flown, np.repeat(measured[None, :, -1:], len(many), axis=0)], axis=2)",
+        ),
+        ("commands of the next row", "held = commands[:, :-1]", "held = commands[:, 1:]"),
+        (
+            "all passes fly the commands of the first",
+            "held = commands[:, :-1]",
+            "held = np.repeat(commands[:1, :-1], passes, axis=0)",
+        ),
+        ("stops after one round", "range(30)", "range(1)"),
+        ("no round at all", "range(30)", "range(0)"),
+        ("uphill", "np.linalg.lstsq(J, -r)", "np.linalg.lstsq(J, r)"),
+        (
+            "K is not fitted",
+            "tried = z + change * 0.5",
+            "tried = z + np.append(np.zeros(8), change[8:]) * 0.5",
+        ),
+        (
+            "the nodes are not fitted",
+            "tried = z + change * 0.5",
+            "tried = z + np.append(change[:8], np.zeros(len(z) - 8)) * 0.5",
+        ),
+        ("poses do not count", "parts = off, gaps, (K", "parts = 0.0 * off, gaps, (K"),
+    ),
     "forecast_turn": (
         (
             "turns to the left",

@@ -9,6 +9,16 @@ MUTANTS = {
             "(speed * np.cos(climb)) ** 2 /",
         ),
         ("the climb is forgotten in n", "np.cos(climb) / np.cos(bank)", "1.0 / np.cos(bank)"),
+        (
+            "the climb is forgotten in the bank and in n: no cos(climb)",
+            "speed**2 * np.cos(climb) / (GRAVITY * radius))\n    n = np.cos(climb) / np",
+            "speed**2 / (GRAVITY * radius))\n    n = 1.0 / np",
+        ),
+        (
+            "cos(climb) squared in the bank, none in n",
+            "speed**2 * np.cos(climb) / (GRAVITY * radius))\n    n = np.cos(climb) / np",
+            "(speed * np.cos(climb)) ** 2 / (GRAVITY * radius))\n    n = 1.0 / np",
+        ),
         ("always to the right", "(GRAVITY * radius)", "(GRAVITY * np.abs(radius))"),
         ("the margin upside down", "speed / stall_speed", "stall_speed / speed"),
         ("sine instead of tangent", "np.arctan(", "np.arcsin(0.2 * "),
@@ -38,9 +48,19 @@ MUTANTS = {
     ),
     "guidance": (
         (
-            "left and right exchanged",
+            "the sign of e: it counts to the left of the line, not to the right",
             "np.array([along[1], -along[0]])",
             "np.array([-along[1], along[0]])",
+        ),
+        (
+            "e has no sign: right of the line on both sides",
+            "e = (p - start) @ np.array([along[1], -along[0]])",
+            "e = abs((p - start) @ np.array([along[1], -along[0]]))",
+        ),
+        (
+            "e is the way along the line, not across it",
+            "np.array([along[1], -along[0]])",
+            "along",
         ),
         (
             "y taken for right in the line's course",
