@@ -224,9 +224,7 @@ class _Residuals:
         windows, rows = self.residual.shape[:2]
         channels = slice(3 * half, 3 * half + 3)
         # Windows that lack the same rows share a filter; most lack none.
-        patterns, of_window = np.unique(
-            self.measured[..., 3 * half], axis=0, return_inverse=True
-        )
+        patterns, of_window = np.unique(self.measured[..., 3 * half], axis=0, return_inverse=True)
         covariance = noise.half_covariance(half, rows, self.interval)
         filters = _masked_filters(covariance, patterns)[of_window]
         joined = np.concatenate(
