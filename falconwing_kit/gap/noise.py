@@ -216,7 +216,7 @@ class _Residuals:
             diagonal = np.einsum("wll->wl", filters)
             # Each filter serves three channels.
             log_filter = -2.0 * 3.0 * float(np.sum(np.log(diagonal[diagonal > 0.0])))
-            self.reduced[key] = np.linalg.qr(white, mode="r"), log_filter
+            self.reduced[key] = np.asarray(np.linalg.qr(white, mode="r")), log_filter
         return self.reduced[key]
 
     def _whiten_half(self, half: int, noise: PoseNoiseModel) -> tuple[Array, Array]:
