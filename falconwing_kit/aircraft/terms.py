@@ -121,13 +121,14 @@ def air_flow(velocity_body, rates, position, time, command, attitude=(0.0, 0.0))
 
 def lift_loads(air, force):
     """A force at right angles to the flight path, in the plane of symmetry, upward positive."""
-    along = np.sqrt(air.u * air.u + air.w * air.w + 0.01)
-    return force * air.w / along, 0.0, -force * air.u / along, 0.0, 0.0, 0.0
+    per_speed = force / np.sqrt(air.u * air.u + air.w * air.w + 0.01)
+    return per_speed * air.w, 0.0, -per_speed * air.u, 0.0, 0.0, 0.0
 
 
 def drag_loads(air, per_speed):
     """A force against the flight path, given per unit of airspeed [1/s]."""
-    return -per_speed * air.u, -per_speed * air.v, -per_speed * air.w, 0.0, 0.0, 0.0
+    back = -per_speed
+    return back * air.u, back * air.v, back * air.w, 0.0, 0.0, 0.0
 
 
 def add_loads(a, b):

@@ -52,17 +52,27 @@ def rotation_entries(roll: Any, pitch: Any, yaw: Any) -> Any:
     Returns:
         Three rows of three entries, each (...).
     """
-    # Tangent half-angle formulas: cos = 2 / (1 + tan^2) - 1, sin = 2 tan / (1 + tan^2). One
-    # vectorised tan is faster than sin and cos; the results agree to 1e-15.
-    half_roll, half_pitch, half_yaw = np.tan(0.5 * roll), np.tan(0.5 * pitch), np.tan(0.5 * yaw)
-    cos2_half_roll, cos2_half_pitch, cos2_half_yaw = (
-        1.0 / (1.0 + half_roll * half_roll),
-        1.0 / (1.0 + half_pitch * half_pitch),
-        1.0 / (1.0 + half_yaw * half_yaw),
-    )
-    sin_roll, cos_roll = 2.0 * half_roll * cos2_half_roll, 2.0 * cos2_half_roll - 1.0
-    sin_pitch, cos_pitch = 2.0 * half_pitch * cos2_half_pitch, 2.0 * cos2_half_pitch - 1.0
-    sin_yaw, cos_yaw = 2.0 * half_yaw * cos2_half_yaw, 2.0 * cos2_half_yaw - 1.0
+    sin_roll, cos_roll = sine_and_cosine(roll)
+    sin_pitch, cos_pitch = sine_and_cosine(pitch)
+    sin_yaw, cos_yaw = sine_and_cosine(yaw)
+    return rotation_rows(sin_roll, cos_roll, sin_pitch, cos_pitch, sin_yaw, cos_yaw)
+
+
+def sine_and_cosine(angle: Any) -> Any:
+    """Sine and cosine, each (...), by the tangent of half the angle t.
+
+    sin = 2 t / (1 + t^2), cos = 2 / (1 + t^2) - 1. One vectorised tan is faster than sin and cos;
+    the results agree to 1e-15.
+    """
+    half = np.tan(0.5 * angle)
+    cos2_half = 1.0 / (1.0 + half * half)
+    return 2.0 * half * cos2_half, 2.0 * cos2_half - 1.0
+
+
+def rotation_rows(
+    sin_roll: Any, cos_roll: Any, sin_pitch: Any, cos_pitch: Any, sin_yaw: Any, cos_yaw: Any
+) -> Any:
+    """The same as `rotation_entries` from sines and cosines."""
     sin_roll_sin_pitch, cos_roll_sin_pitch = sin_roll * sin_pitch, cos_roll * sin_pitch
     return (
         (

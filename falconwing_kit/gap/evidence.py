@@ -6,6 +6,7 @@ aircraft parameters, free under their prior, are eliminated; one unknown per amp
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -78,16 +79,17 @@ class SchurComplement:
             reduced_chi2,
         )
 
+    @cached_property
+    def normal(self) -> Array:
+        """(F, F) K'K + P, normal matrix of the parameters over all windows, regularised."""
+        return _regularise(np.einsum("wif,wig->fg", self.K, self.K, optimize=True) + self.prior)
+
     def score(self, effect: Sensitivities) -> ScoreTest:
         """Linear evidence for an effect over all windows."""
-        return _score_test(
-            self,
-            effect.variant,
-            _project_out(self.Q, effect.derivative),
-            np.arange(len(self.Q)),
-            self.prior,
-            None,
-        )
+        E = _project_out(self.Q, effect.derivative)
+        # At the fit's minimum the parameters have no gradient.
+        no_pull = np.zeros(self.K.shape[2])
+        return _score_test(self, effect.variant, E, self.K, self.residual, self.normal, no_pull)
 
     def information(self, effect: Sensitivities) -> tuple[Array, Array]:
         """Chi2 that each amplitude explains per square of its size, on average, when it acts alone.
@@ -100,10 +102,9 @@ class SchurComplement:
             (A,) with the parameters free under their prior, and (A,) with the parameters known.
         """
         E = _project_out(self.Q, np.nan_to_num(effect.derivative, posinf=0.0, neginf=0.0))
-        A = _regularise(np.einsum("wif,wig->fg", self.K, self.K, optimize=True) + self.prior)
         B = np.einsum("wif,wik->fk", self.K, E, optimize=True)
         known = np.einsum("wik,wik->k", E, E, optimize=True)
-        return known - np.einsum("fk,fk->k", B, np.linalg.solve(A, B)), known
+        return known - np.einsum("fk,fk->k", B, np.linalg.solve(self.normal, B)), known
 
     def inflation(self, effect: Sensitivities) -> float:
         """Variance of an effect's score between windows over that of white residuals.
@@ -112,9 +113,8 @@ class SchurComplement:
         the same chi2 means less [White 1980; Liang & Zeger 1986, clustered by window].
         """
         E = _project_out(self.Q, effect.derivative)
-        A = _regularise(np.einsum("wif,wig->fg", self.K, self.K, optimize=True) + self.prior)
         B = np.einsum("wif,wik->fk", self.K, E, optimize=True)
-        E = E - self.K @ np.linalg.solve(A, B)  # what the parameters do not imitate
+        E = E - self.K @ np.linalg.solve(self.normal, B)  # what the parameters do not imitate
         scores = np.einsum("wik,wi->wk", E, self.residual, optimize=True)
         white = self.reduced_chi2 * np.einsum("wik,wil->kl", E, E, optimize=True)
         clustered = scores.T @ scores * len(E) / max(len(E) - 1, 1)
@@ -150,9 +150,14 @@ class SchurComplement:
             shift = -np.linalg.solve(
                 known, np.einsum("wif,wi->f", self.K[others], self.residual[others], optimize=True)
             )
+            # Normal equations of the parameters on this part, the same for every effect.
+            K, r = self.K[inside], self.residual[inside]
+            r = r + K @ shift
+            A = _regularise(np.einsum("wif,wig->fg", K, K, optimize=True) + known)
+            g_K = np.einsum("wif,wi->f", K, r, optimize=True)
             for e, (effect, E) in enumerate(zip(effects, projected, strict=True)):
                 delta_chi2_blocks[e, b] = _score_test(
-                    self, effect.variant, E, inside, known, shift
+                    self, effect.variant, E[inside], K, r, A, g_K
                 ).delta_chi2
         return delta_chi2_blocks
 
@@ -160,22 +165,25 @@ class SchurComplement:
 def _score_test(
     fit: SchurComplement,
     variant: EffectVariant,
-    projected: Array,
-    inside: np.ndarray,
-    precision: Array,
-    shift: Array | None,
+    E: Array,
+    K: Array,
+    r: Array,
+    A: Array,
+    g_K: Array,
 ) -> ScoreTest:
-    """Score test over some windows, the parameters free with a precision around a shifted mean."""
-    # Normal equations of parameters and amplitudes, [A B; B' D], and their gradients.
-    E, K, r = projected[inside], fit.K[inside], fit.residual[inside]
-    if shift is not None:
-        r = r + K @ shift
-    A = np.einsum("wif,wig->fg", K, K, optimize=True) + precision
+    """Score test over some windows, from the normal equations [A B; B' D] and their gradients.
+
+    Args:
+        fit: gives the reduced chi2.
+        variant: the effect at a scan point.
+        E: (W, R, A) its derivatives, K: (W, R, F) those of the parameters, r: (W, R) residuals;
+            all outside the span of the initial states.
+        A: (F, F) regularised normal matrix of the parameters, g_K: (F,) their gradient.
+    """
     B = np.einsum("wif,wik->fk", K, E, optimize=True)
     D = np.einsum("wik,wil->kl", E, E, optimize=True)
-    g_K = np.einsum("wif,wi->f", K, r, optimize=True) if shift is not None else np.zeros(K.shape[2])
     g_E = np.einsum("wik,wi->k", E, r, optimize=True)
-    across = np.linalg.solve(_regularise(A), np.column_stack([B, g_K]))
+    across = np.linalg.solve(A, np.column_stack([B, g_K]))
     # Eliminate the parameters: S = D - B' A^-1 B, gradient g_E - B' A^-1 g_K.
     S, pull = D - B.T @ across[:, :-1], g_E - B.T @ across[:, -1]
     if not (np.isfinite(S).all() and np.isfinite(pull).all()):

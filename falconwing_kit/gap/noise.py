@@ -17,7 +17,7 @@ estimates them and accounts for what the free initial states have absorbed [Patt
 1971; Harville 1974].
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -61,16 +61,16 @@ class PoseNoiseModel:
 
         Of a channel whose variance is one.
         """
+        return np.stack([self.half_covariance(half, rows, interval) for half in (0, 1)])
+
+    def half_covariance(self, half: int, rows: int, interval: float) -> Array:
+        """(L, L) covariance of position (half 0) or attitude (half 1), as `covariance`."""
+        share, time = self.share[half], self.time[half]
         lag = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows))) * interval
-        halves = []
-        for share, time, size, order in zip(
-            self.share, self.time, self.discrepancy, self.order, strict=True
-        ):
-            half = (1.0 - share) * np.eye(rows) + share * np.exp(-lag / time)
-            if size > 0.0:
-                half = half + size**2 * _integrated_noise(rows, order)
-            halves.append(half)
-        return np.stack(halves)
+        covariance = (1.0 - share) * np.eye(rows) + share * np.exp(-lag / time)
+        if (size := self.discrepancy[half]) > 0.0:
+            covariance = covariance + size**2 * _integrated_noise(rows, self.order[half])
+        return np.asarray(covariance)
 
     def deviation(self, rows: int, interval: float) -> Array:
         """(L, 6) standard deviation of each row and channel, in units of its sigma."""
@@ -155,7 +155,7 @@ def _integrated_noise(rows: int, order: int) -> Array:
 
 
 def _masked_filters(covariance: Array, measured: np.ndarray) -> Array:
-    """Whitening filters (W, 2, L, L) of the measured rows (W, 2, L); zero for the others."""
+    """Whitening filters (..., L, L) of the measured rows (..., L); zero for the others."""
     both = measured[..., :, None] & measured[..., None, :]
     rows = np.eye(covariance.shape[-1])
     # Rows without a pose become independent of all others, so that one inverse serves all windows.
@@ -171,22 +171,25 @@ class _Residuals:
     slopes: Array  # (W, L, 6, n)
     measured: np.ndarray  # (W, L, 6)
     interval: float  # between rows [s]
+    # What `_reduce_half` has found: a search changes one half at a time and comes back to others.
+    reduced: dict[tuple[float, ...], tuple[Array, float]] = field(default_factory=dict, repr=False)
 
     def deviance(self, noise: PoseNoiseModel) -> tuple[float, float]:
         """-2 log restricted likelihood, up to a constant, and the common variance it takes."""
-        windows = len(self.residual)
-        white, filters = self._whitened(noise)
-        repeated = float(windows) if len(filters) == 1 else 1.0
-        residual, J = white[..., 0], white[..., 1:]
-        # Residual outside the span of the initial states, and the two determinants.
-        Q, R = np.linalg.qr(J)
-        squares = np.sum(residual**2) - np.sum(np.einsum("win,wi->wn", Q, residual) ** 2)
-        diagonal = np.einsum("whll->whl", filters)
-        log_filter = -2.0 * 3.0 * repeated * float(np.sum(np.log(diagonal[diagonal > 0.0])))
-        log_starts = 2.0 * float(np.sum(np.log(np.abs(np.einsum("wnn->wn", R)) + 1e-300)))
-        dof = max(int(np.count_nonzero(self.measured)) - windows * J.shape[2], 1)
-        variance = max(float(squares) / dof, 1e-300)
-        return dof * float(np.log(variance)) + log_filter + log_starts, variance
+        windows, n = len(self.residual), self.slopes.shape[-1]
+        (position, of_position), (attitude, of_attitude) = (
+            self._reduce_half(half, noise) for half in (0, 1)
+        )
+        # Two triangles on each other have the R of all rows: QR by blocks of rows [Golub & Van
+        # Loan, Matrix Computations, ch. 5]. Its last entry is the residual outside the span of the
+        # initial states; the diagonal before it is the second determinant.
+        R = np.linalg.qr(np.concatenate([position, attitude], axis=1), mode="r")
+        diagonal = np.abs(np.einsum("wnn->wn", R))
+        squares = float(np.sum(diagonal[:, n] ** 2))
+        log_starts = 2.0 * float(np.sum(np.log(diagonal[:, :n] + 1e-300)))
+        dof = max(int(np.count_nonzero(self.measured)) - windows * n, 1)
+        variance = max(squares / dof, 1e-300)
+        return dof * float(np.log(variance)) + of_position + of_attitude + log_starts, variance
 
     def channel_variances(self, noise: PoseNoiseModel) -> tuple[float, ...]:
         """Variance of each channel: its squares over its degrees of freedom.
@@ -194,8 +197,8 @@ class _Residuals:
         Gusts and errors of a model turn an aircraft more about one axis than about another.
         """
         windows, rows = self.residual.shape[:2]
-        white, _ = self._whitened(noise)
-        residual, Q = white[..., 0], np.linalg.qr(white[..., 1:])[0]
+        white = np.concatenate([self._whiten_half(half, noise)[0] for half in (0, 1)], axis=1)
+        residual, Q = white[..., -1], np.linalg.qr(white[..., :-1])[0]
         residual = residual - np.einsum("win,wn->wi", Q, np.einsum("win,wi->wn", Q, residual))
         # Rows of a window are sorted by half, row and axis.
         squares = np.sum((residual**2).reshape(windows, 2, rows, 3), axis=(0, 2)).ravel()
@@ -203,18 +206,33 @@ class _Residuals:
         count = np.count_nonzero(self.measured, axis=(0, 1))
         return tuple((squares / np.maximum(count - absorbed, 1.0)).tolist())
 
-    def _whitened(self, noise: PoseNoiseModel) -> tuple[Array, Array]:
-        """Residuals and slopes (W, 6 L, 1 + n) through the filters (1 or W, 2, L, L), and these."""
+    def _reduce_half(self, half: int, noise: PoseNoiseModel) -> tuple[Array, float]:
+        """R (W, n + 1, n + 1) of [slopes, residual] of one half, and -2 log |its filters|."""
+        share, size = noise.share[half], noise.discrepancy[half]
+        # Without a share its time does not matter, nor the order without a discrepancy.
+        key = (half, share, noise.time[half] * (share > 0.0), size, noise.order[half] * (size > 0))
+        if key not in self.reduced:
+            white, filters = self._whiten_half(half, noise)
+            diagonal = np.einsum("wll->wl", filters)
+            # Each filter serves three channels.
+            log_filter = -2.0 * 3.0 * float(np.sum(np.log(diagonal[diagonal > 0.0])))
+            self.reduced[key] = np.asarray(np.linalg.qr(white, mode="r")), log_filter
+        return self.reduced[key]
+
+    def _whiten_half(self, half: int, noise: PoseNoiseModel) -> tuple[Array, Array]:
+        """Slopes and residual (W, 3 L, n + 1) of one half, whitened, and the filters (W, L, L)."""
         windows, rows = self.residual.shape[:2]
-        covariance = noise.covariance(rows, self.interval)
-        if self.measured.all():
-            filters = np.linalg.inv(np.linalg.cholesky(covariance))[None]
-        else:
-            filters = _masked_filters(covariance, self.measured[..., [0, 3]].transpose(0, 2, 1))
-        # Filter each half: (W, 2, L, L) @ (W, 2, L, 3 (1 + n)).
-        joined = np.concatenate([self.residual[..., None], self.slopes], axis=-1)
-        halves = joined.reshape(windows, rows, 2, -1).transpose(0, 2, 1, 3)
-        return (filters @ halves).reshape(windows, 2 * rows * 3, -1), filters
+        channels = slice(3 * half, 3 * half + 3)
+        # Windows that lack the same rows share a filter; most lack none.
+        patterns, of_window = np.unique(self.measured[..., 3 * half], axis=0, return_inverse=True)
+        covariance = noise.half_covariance(half, rows, self.interval)
+        filters = _masked_filters(covariance, patterns)[of_window]
+        joined = np.concatenate(
+            [self.slopes[:, :, channels], self.residual[:, :, channels, None]], axis=-1
+        )
+        # (W, L, L) @ (W, L, 3 (n + 1)).
+        white = filters @ joined.reshape(windows, rows, -1)
+        return white.reshape(windows, 3 * rows, -1), filters
 
 
 def _search(

@@ -16,7 +16,6 @@ from falconwing_kit.sysid.shooting import (
     Windows,
     jacobian,
     pose_residuals,
-    residuals,
     select_windows,
 )
 
@@ -75,7 +74,11 @@ class FitResult:
 
 @np.errstate(all="ignore")  # a diverging flight overflows; its cost is infinite
 def fit_initial_states(
-    model: Model, windows: Windows, initial_states: Array, iterations: int = 8
+    model: Model,
+    windows: Windows,
+    initial_states: Array,
+    iterations: int = 8,
+    linear: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array]:
     """Fit the initial state of each window with K fixed: Levenberg-Marquardt, damped per window.
 
@@ -84,25 +87,30 @@ def fit_initial_states(
         windows: W windows.
         initial_states: (W, n_states) first guess.
         iterations: maximum.
+        linear: residual and derivative to the initial states there, if already computed.
 
     Returns:
         initial_states (W, n_states) and weighted residuals (W, R).
     """
-    residual, _, initial_state_jacobian = jacobian(model, windows, initial_states, ())
+    residual, initial_state_jacobian = linear or jacobian(model, windows, initial_states, ())[::2]
     cost = _window_cost(residual)
     damping = np.full(len(windows), 1e-6)
     for _ in range(iterations):
         step, predicted_reduction = _solve_windows(initial_state_jacobian, residual, damping)
         if np.all(predicted_reduction < 1e-3 * (1.0 + cost)):
             break
-        new_cost = _window_cost(residuals(model, windows, initial_states - step))
+        # Most steps are accepted in most windows, so derivatives come along with the trial.
+        trial = initial_states - step
+        new_residual, _, new_jacobian = jacobian(model, windows, trial, ())
+        new_cost = _window_cost(new_residual)
         better = new_cost < cost
         damping = np.where(better, 0.1 * damping, np.maximum(100.0 * damping, 1e-3))
-        if not better.any():
-            continue
-        initial_states = np.where(better[:, None], initial_states - step, initial_states)
-        residual, _, initial_state_jacobian = jacobian(model, windows, initial_states, ())
-        cost = _window_cost(residual)
+        initial_states = np.where(better[:, None], trial, initial_states)
+        residual = np.where(better[:, None], new_residual, residual)
+        initial_state_jacobian = np.where(
+            better[:, None, None], new_jacobian, initial_state_jacobian
+        )
+        cost = np.where(better, new_cost, cost)
     return initial_states, residual
 
 
@@ -195,7 +203,7 @@ def fit(
     left = iterations - step_count - 1
     if left >= 0:
         # A step for all windows at once can leave the initial state of one where it is no minimum.
-        freed, residual = _free_stuck_windows(model, windows, initial_states)
+        freed, residual = _free_stuck_windows(model, windows, initial_states, linear[::2])
         if cost - _cost(residual, prior_factor, prior_mean, vector[here]) > tolerance:
             done = step_count + 1
             rest = fit(
@@ -207,13 +215,14 @@ def fit(
 
 
 def _free_stuck_windows(
-    model: Model, windows: Windows, initial_states: Array
+    model: Model, windows: Windows, initial_states: Array, linear: tuple[Array, Array]
 ) -> tuple[Array, Array]:
     """Initial states (W, n_states) fitted once more, and residuals (W, R).
 
     Those of windows that stand out are also fitted from the first guess, which the poses give.
+    `linear`: residual and derivative to the initial states, as the fit left them.
     """
-    states, residual = fit_initial_states(model, windows, initial_states)
+    states, residual = fit_initial_states(model, windows, initial_states, linear=linear)
     cost = _window_cost(residual)
     apart = np.flatnonzero(cost > STANDS_OUT * np.median(cost))
     if len(apart):

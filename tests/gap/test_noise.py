@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from falconwing_kit.aircraft.model import Model, rates_model
 from falconwing_kit.core.flight_table import FlightTable
-from falconwing_kit.gap.noise import PoseNoiseModel, find_pose_noise, whiten
+from falconwing_kit.gap.noise import PoseNoiseModel, _Residuals, find_pose_noise, whiten
 from falconwing_kit.sysid.fit import FitResult, fit_initial_states
 from falconwing_kit.sysid.prepare import prepare
 from falconwing_kit.sysid.shooting import cut_windows, jacobian
@@ -125,3 +126,54 @@ def test_filters_leave_rows_without_a_pose_out():
         seen = np.diag(missing[window, :, 0] * (windows.weight[window, :, 0] > 0.0))
         F = filtered.whitening[window, 0]
         np.testing.assert_allclose(F @ seen @ covariance @ seen @ F.T, seen, atol=1e-9)
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_likelihood_is_that_of_the_whole_covariance(missing):
+    """The textbook's formula [Harville 1974] with dense matrices over all rows and channels of a
+    window, V the covariance of the measured ones and J their derivatives to the initial states:
+    log|V| + log|J' V^-1 J| summed, and d log((r' V^-1 r - r' V^-1 J (J' V^-1 J)^-1 J' V^-1 r) / d),
+    d measurements less initial states. Differences between noise models are compared.
+    """
+    rng = np.random.default_rng(8)
+    windows, rows, n = 5, 12, 12
+    measured_rows = np.ones((windows, rows, 6), dtype=bool)
+    if missing:
+        measured_rows[1, 3:5] = False
+        measured_rows[2, 7, 3:] = False  # an attitude alone
+        measured_rows[3, 3:5] = False  # the same as window 1
+    residual = np.where(measured_rows, rng.normal(size=(windows, rows, 6)).cumsum(axis=1), 0.0)
+    slopes = np.where(measured_rows[..., None], rng.normal(size=(windows, rows, 6, n)), 0.0)
+    data = _Residuals(residual, slopes, measured_rows, 0.05)
+
+    def by_hand(noise):
+        logs, squares, dof = 0.0, 0.0, -windows * n
+        for seen, r, J in zip(measured_rows, residual, slopes, strict=True):
+            position, attitude = noise.covariance(rows, 0.05)
+            V = block_diag(*[position] * 3, *[attitude] * 3)  # sorted by channel, then row
+            index = np.flatnonzero(seen.T.ravel())
+            V, r, J = V[np.ix_(index, index)], r.T.ravel()[index], J.transpose(1, 0, 2)
+            J = J.reshape(-1, n)[index]
+            inverse = np.linalg.inv(V)
+            information = J.T @ inverse @ J
+            logs += np.linalg.slogdet(V)[1] + np.linalg.slogdet(information)[1]
+            along = J.T @ inverse @ r
+            squares += r @ inverse @ r - along @ np.linalg.solve(information, along)
+            dof += len(index)
+        return dof * np.log(squares / dof) + logs, squares / dof
+
+    models = (
+        PoseNoiseModel((0.0, 0.0), (0.5, 0.5)),
+        PoseNoiseModel((0.5, 0.0), (0.3, 0.5)),
+        PoseNoiseModel((0.5, 0.2), (0.3, 0.8)),
+        PoseNoiseModel((0.5, 0.2), (0.3, 0.8), (4.0, 0.0), (1, 2)),
+        PoseNoiseModel((0.0, 0.2), (0.3, 0.8), (4.0, 2.0), (3, 2)),
+        PoseNoiseModel((0.5, 0.0), (0.3, 0.5)),  # once more
+    )
+    found = np.array([data.deviance(noise) for noise in models])
+    expected = np.array([by_hand(noise) for noise in models])
+    np.testing.assert_allclose(found[:, 1], expected[:, 1], rtol=1e-8)
+    np.testing.assert_allclose(
+        found[:, 0] - found[0, 0], expected[:, 0] - expected[0, 0], rtol=1e-8, atol=1e-6
+    )
+    assert np.ptp(expected[:, 0]) > 10.0

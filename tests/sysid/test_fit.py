@@ -10,7 +10,13 @@ from scipy.optimize import least_squares
 from falconwing_kit.aircraft.model import FORMS, paper_model, rates_model
 from falconwing_kit.sysid.fit import Prior, fit, fit_initial_states, sqrt_huber_weight
 from falconwing_kit.sysid.prepare import prepare
-from falconwing_kit.sysid.shooting import cut_windows, fly_windows, pose_residuals, residuals
+from falconwing_kit.sysid.shooting import (
+    cut_windows,
+    fly_windows,
+    jacobian,
+    pose_residuals,
+    residuals,
+)
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 
 SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
@@ -208,6 +214,33 @@ def test_initial_states_alone_are_scipys_too(small):
     _, cost = scipy_fit(truth, windows, initial_guess)
     assert np.sum(residual**2) == pytest.approx(cost, rel=1e-3)
     assert residual == pytest.approx(residuals(truth, windows, found), abs=1e-9)
+
+
+def test_initial_states_from_known_derivatives_are_the_same(small):
+    """Residual and derivative computed before: the same states and residuals, and one linearisation
+    less, none at all where the states are a minimum already.
+    """
+    start, windows, initial_states = small
+    calls = []
+
+    def counted(*arguments):
+        calls.append(1)
+        return jacobian(*arguments)
+
+    residual, _, derivative = jacobian(start, windows, initial_states, ())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(fit_initial_states.__wrapped__.__globals__, "jacobian", counted)
+        plain = fit_initial_states(start, windows, initial_states)
+        all_calls = len(calls)
+        known = fit_initial_states(start, windows, initial_states, linear=(residual, derivative))
+        assert len(calls) == 2 * all_calls - 1
+        residual, _, derivative = jacobian(start, windows, known[0], ())
+        calls.clear()
+        again = fit_initial_states(start, windows, known[0], linear=(residual, derivative))
+    assert not calls
+    assert again[0] is known[0]
+    for got, expected in zip(known, plain, strict=True):
+        np.testing.assert_array_equal(got, expected)
 
 
 # Linear algebra

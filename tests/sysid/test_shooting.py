@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import FORMS, paper_model, rates_model
+from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.sysid.prepare import PreparedFlight, prepare
 from falconwing_kit.sysid.shooting import (
@@ -20,6 +22,15 @@ from falconwing_kit.sysid.shooting import (
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 
 SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
+# Rolling moment per V^2: a coefficient times angle of attack times aileron.
+PRODUCT = Effect(
+    "product",
+    "The ailerons act more at large angles of attack.",
+    (Parameter("product", 0.0, -10.0, 10.0, "1/(m^2 rad)", "coefficient"),),
+    loads=lambda air, K: (
+        0.0, 0.0, 0.0, K.product * air.airspeed * air.airspeed * air.alpha * air.aileron, 0.0, 0.0,
+    ),
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module", params=sorted(FORMS))
@@ -298,6 +309,52 @@ def test_derivatives_to_start_states_equal_central_differences(noisy):
     )
     off = np.linalg.norm(found - expected, axis=(0, 1)) / np.linalg.norm(expected, axis=(0, 1))
     assert off.max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("form", "effects"),
+    [
+        ("rates", ("wind", "control_delay")),
+        ("rates", ("fan_jet", "camera_tilt")),
+        ("rates", ("ground_effect", "roll moment with angle of attack times aileron")),
+        ("paper", ("wind", "trim_bias")),
+    ],
+)
+def test_derivatives_equal_central_differences_with_effects(form, effects):
+    """Central differences of `residuals`, as above, to 1e-3 of a column's length (what changes the
+    commands, whose step is 1e-3, to 2 %): uniform wind and a jet that depends on the place, a delay
+    added to the model's, a turned camera, a product of flow and stick as of a sparse term; every
+    amplitude away from zero.
+    """
+    rng = np.random.default_rng(6)
+    model = drawn(FORMS[form](), rng)
+    for effect in CATALOGUE:
+        if effect.name in effects and effect.amplitudes[0].name not in model.values:
+            model = model.with_effect(effect)
+            model = model.with_values({p.name: 0.3 * p.start for p in effect.amplitudes})
+    if effects[1].startswith("roll moment"):
+        model = model.with_effect(PRODUCT).with_values({"product": 0.4})
+    table = measured(fly_figure_eights([model], 6.0, rng), rng)
+    windows = cut_windows(prepare(table, SIGMA).flights, model)
+    initial_states = windows.initial_guess[:, : model.n_states]
+    free = [i for i, p in enumerate(model.parameters) if p.high > p.low]
+    _, found, of_states = jacobian(model, windows, initial_states, free)
+
+    def moved(change):
+        vector = model.vector
+        vector[free] += change[: len(free)]
+        states = initial_states + change[len(free) :]
+        return residuals(model.with_vector(vector), windows, states)
+
+    count = len(free) + model.n_states
+    expected = central(moved, np.zeros(count), np.full(count, 2e-5))
+    size = np.linalg.norm(expected, axis=(0, 1))
+    off = np.linalg.norm(np.concatenate([found, of_states], axis=2) - expected, axis=(0, 1)) / size
+    names = [model.names[i] for i in free] + [f"state {i}" for i in range(model.n_states)]
+    mapped = model.actuator_parameter_names
+    allowed = [0.02 if name in mapped else 1e-3 for name in names]
+    assert dict(zip(names, off < allowed, strict=True)) == dict.fromkeys(names, True)
+    assert size.min() > 0.1  # none is zero
 
 
 def test_a_subset_of_parameters_gives_the_same_columns(noisy):
