@@ -188,6 +188,21 @@ def test_an_effect_in_both_flights_hides_no_other(monkeypatch):
     assert new is flap
 
 
+@pytest.mark.parametrize(("change", "verdict"), [(2.0, "none"), (40.0, "outside")])
+def test_a_load_in_both_flights_is_not_outside(monkeypatch, change, verdict):
+    """By the rule: in a flight without excess a generic load counts where it is a change of more
+    than 10 over the same load in both flights.
+    """
+    base, best = own_base(), name_module._best_generic
+
+    def strong(*args):
+        return replace(best(*args), delta_bic=1000.0)
+
+    monkeypatch.setattr(name_module, "_best_generic", strong)
+    monkeypatch.setattr(name_module, "_evidence_of_change", lambda *_: change)
+    assert name_effect(base, own_flight(None, 20.0, 47)).verdict == verdict
+
+
 def test_no_full_fit_far_below_the_best(monkeypatch):
     """By hand: 0.1 of 1,000 is 100, so of linear evidence 1,000, 150, 99 and 98 two are fitted in
     full; where the best has 60, all but the last, which is below -10.
