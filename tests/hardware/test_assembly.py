@@ -350,7 +350,7 @@ def test_numbers_in_the_steps_are_the_files(sources, shapes):
     assert f"about {power.damping_ohm + power.coil_ohm:.1f} ohm" in text["filter_check"]
     back = 1000.0 * balance_move(sources.items, "battery", wing.mark / 1000.0)
     ahead = wing.mark - 1000.0 * roll_up(sources.items).x_cg
-    assert f"{back:.0f} mm of battery are {ahead:.0f} mm of balance" in text["balance"]
+    assert f"{back:.0f} mm back takes the balance {ahead:.0f} mm back" in text["balance"]
     mass_g = 1000.0 * roll_up(sources.items).mass
     largest_g = 1000.0 * float(largest_mass(27.0, sources.airframe, margin=2.0, hold_height=True))
     assert f"weighs {mass_g:.1f} g of {largest_g:.0f} g" in text["weigh"]
