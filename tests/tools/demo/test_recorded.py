@@ -25,6 +25,7 @@ FIGURES = (
     "flight_film",
     "flight_fpv",
     "flight_path",
+    "flight_seen",
     "flight_sticks",
     "predicted",
     "residuals",
