@@ -293,7 +293,8 @@ LAB = Lab(
                 Check(
                     "a climbing turn: cos(climb) once in the bank, once in n",
                     _climbing_turn,
-                    "the level speed is V cos(climb), squared; one cos cancels when you divide",
+                    "the level speed is V cos(climb), squared; one cos cancels when you divide. "
+                    "Without any cos(climb) neither bank nor n would depend on the climb",
                 ),
                 Check(
                     "straight on there is no bank, and the margin goes with the speed",

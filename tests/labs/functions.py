@@ -22,7 +22,14 @@ from falconwing_kit.tools.grading.find import (
     load_module,
 )
 from falconwing_kit.tools.grading.hints_library import ExerciseHere, candidates
-from falconwing_kit.tools.grading.lab import Course, Function, Judge, Lab, course_constants
+from falconwing_kit.tools.grading.lab import (
+    Course,
+    Function,
+    Judge,
+    Lab,
+    Trials,
+    course_constants,
+)
 from falconwing_kit.tools.grading.notebooks import read_cells
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,12 +93,13 @@ class LabHere:
         ]
         return sum(map(right, verdicts)) / len(verdicts)
 
-    def is_right(self, name: str, function: Function, seed: int = 0) -> bool:
-        """Whether `score` is 1: the cases are asked until one is wrong."""
+    def is_right(
+        self, name: str, function: Function, seed: int = 0, *, trials: bool = True
+    ) -> bool:
+        """Whether `score` is 1: the cases are asked until one is wrong; on wish without trials."""
         rng = np.random.default_rng([seed, *name.encode()])
-        verdicts = (
-            verdict for judge in self.judges[name] for verdict in judge.verdicts(function, rng)
-        )
+        asked = [each for each in self.judges[name] if trials or not isinstance(each, Trials)]
+        verdicts = (verdict for judge in asked for verdict in judge.verdicts(function, rng))
         return all(map(right, verdicts))
 
 
