@@ -458,8 +458,8 @@ for label, replay in replays.items():
 #   need not be good.
 #
 # How you find the smallest $S$ is up to you: 30 to 80 lines, with helpers as you like. Start the nodes from lines through
-# the poses, like `start_guess`; linearise with small differences; shorten a step that makes $S$ larger; stop where a
-# round gains less than $10^{-9}$. (Fast: `step` takes many states, and many $K$, at once.)
+# the poses, like `start_guess`; linearise with small differences ($10^{-7}$); shorten a step that makes $S$ larger; stop where a
+# round gains less than $10^{-11}$. (Fast: `step` takes many states, and many $K$, at once.)
 
 
 # %% exercise="multiple_shooting"
@@ -513,14 +513,14 @@ def multiple_shooting(poses, commands, steps, sigma_link):
         parts = off, gaps, (K - GUESS) / PRIOR_SIGMA
         return np.concatenate([part.reshape(len(many), -1) for part in parts], axis=1)
 
-    z, small = np.concatenate([GUESS, first_nodes().ravel()]), 1e-6
+    z, small = np.concatenate([GUESS, first_nodes().ravel()]), 1e-7
     for _ in range(30):
         moved = mismatches(z + small * np.vstack([np.zeros(len(z)), np.eye(len(z))]))
         r, J = moved[0], (moved[1:] - moved[0]).T / small
         change = np.linalg.lstsq(J, -r)[0]
         tried = z + change * 0.5 ** np.arange(10)[:, None]  # the whole step, half of it, ...
         sums = np.nan_to_num(np.sum(mismatches(tried) ** 2, axis=1), nan=np.inf)
-        if not r @ r - sums.min() > 1e-9:
+        if not r @ r - sums.min() > 1e-11:
             break
         z = tried[sums.argmin()]
     return z[:8], z[8:].reshape(passes, count + 1, 5)
