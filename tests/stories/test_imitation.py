@@ -56,7 +56,7 @@ def test_the_trained_policy_flies(trained, small_hall, capsys):
     pilot = load_pilot("student", camera=camera, weights=out / "policy.safetensors")
     rng = np.random.default_rng(0)
     image = rng.random((6, 8, 3)).repeat(8, axis=0).repeat(8, axis=1).astype(np.float32)
-    features = [pilot._policy.encode(x) for x in (image, image[:, ::-1])]
+    features = [pilot.policy.encode(x) for x in (image, image[:, ::-1])]
     assert np.abs(features[0] - features[1]).max() > 0.1
 
 

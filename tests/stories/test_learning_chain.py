@@ -190,7 +190,7 @@ def test_a_cloned_policy_answers_as_the_teacher(policy, weights, small_hall):
 def test_swapped_commands_are_noticed(policy, small_hall):
     """Planted: aileron and elevator in the other's place between training and flight."""
     for name in ("commands.weight", "commands.bias"):
-        policy._policy._w[name] = policy._policy._w[name][[0, 2, 1, 3]]
+        policy.policy._w[name] = policy.policy._w[name][[0, 2, 1, 3]]
     assert unexplained(policy, small_hall)[LEARNED].max() > BLIND
 
 
