@@ -36,7 +36,7 @@ from falconwing_kit.vision.policy import (
 from falconwing_kit.vision.policy_network import PolicyNetwork, calibrate
 
 WARMUP = 0.02  # share of the training over which the learning rate rises
-HUBER = 0.05  # command error beyond which the loss is linear
+HUBER = 0.05  # error of a command or a state beyond which the loss is linear
 FINDER = "leader_mask"  # in the file of an interrupted training; no pilot has this name
 MASK_EVERY = 4  # one image of so many trains the masks
 
@@ -55,8 +55,8 @@ class Schedule:
     decay: float = 0.02  # weight decay
     average: float = 0.998  # decay of the moving average of the weights
     mixing: tuple[float, ...] = (1.0, 0.6, 0.3)  # flown by the expert in the first rounds
-    memory_loss: float = 0.1  # weights of the losses of the state, estimated from the memory
-    image_loss: float = 0.05  # and from an image alone
+    memory_loss: float = 0.3  # weights of the losses of the state, estimated from the memory
+    image_loss: float = 0.15  # and from an image alone
     seed: int = 0
 
 
@@ -297,10 +297,12 @@ class Learner:
         weight, total = batch.weight, batch.weight.sum()
         off = functional.huber_loss(commands, batch.teacher, reduction="none", delta=HUBER)
         loss = (off.mean(-1) * weight).sum() / total / HUBER
-        state = batch.auxiliary
-        off_memory = functional.smooth_l1_loss(of_memory, state, reduction="none").mean(-1)
-        off_image = functional.smooth_l1_loss(of_image, state, reduction="none").mean(-1)
+        off_memory, off_image = (
+            functional.huber_loss(x, batch.auxiliary, reduction="none", delta=HUBER).mean(-1)
+            for x in (of_memory, of_image)
+        )
         extra = self.schedule.memory_loss * off_memory + self.schedule.image_loss * off_image
+        extra = extra / HUBER  # so that centimetres count, too
         self.trained.update(loss + (extra * weight).sum() / total, share)
         return loss.detach()
 
