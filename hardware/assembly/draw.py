@@ -325,6 +325,18 @@ def _measure_lens(sources: Any) -> tuple[Any, Any, str]:
     return (x, 0.0, 0.0), (x, 0.0, z), f"{z:.0f} mm over the axis"
 
 
+def _measure_ahead(sources: Any) -> tuple[Any, Any, str]:
+    camera, x = sources.camera.body_mm, sources.ahead("camera_analog")
+    y, z = camera.width / 2.0 + 6.0, sources.lens[2] + 3.0
+    return (x, y, z), (x + camera.lens_ahead, y, z), "lens_ahead"
+
+
+def _measure_depth(sources: Any) -> tuple[Any, Any, str]:
+    camera, x = sources.camera.body_mm, sources.ahead("camera_analog")
+    y, z = camera.width / 2.0 + 6.0, sources.lens[2] + 3.0
+    return (x, y, z), (x - camera.depth_behind, y, z), "depth_behind"
+
+
 def _measure_disc(sources: Any) -> tuple[Any, Any, str]:
     x, _, z = sources.lens
     disc = 1000.0 * sources.airframe.propeller.x
@@ -384,6 +396,8 @@ def _measure_height(sources: Any) -> tuple[Any, Any, str]:
 MEASURES = {
     "lens_height": _measure_lens,
     "disc_gap": _measure_disc,
+    "lens_ahead": _measure_ahead,
+    "depth_behind": _measure_depth,
     "mark": _measure_mark,
     "wall": _measure_wall,
     "behind": _measure_behind,

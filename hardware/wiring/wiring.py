@@ -188,10 +188,9 @@ def draw_trainer(path: Path) -> str:
         {shared_ma:.1f} mA. To measure and record, the tip of the radio's own output goes through
         4.7 kilohm to pin {PILOT_PIN}, where 9 V push {pilot_ma:.2f} mA into the pin. A capacitor
         of 10 uF from RESET (plus) to ground is put in once the board is flashed. Levels and
-        polarity of the radio are to be measured first. The second plug's sleeve goes to GND as well.
-        The remote receiver has its plus at the board's 3.3 V, its data at pin 19 (RX1) and its
-        minus at GND. Pin {PPM_PIN} never meets the radio's
-        output.""")
+        polarity of the radio are to be measured first. The second plug's sleeve goes to GND
+        as well. The remote receiver has its plus at the board's 3.3 V, its data at pin 19
+        (RX1) and its minus at GND. Pin {PPM_PIN} never meets the radio's output.""")
 
 
 def draw_ground(path: Path) -> str:
@@ -227,8 +226,9 @@ def draw_ground(path: Path) -> str:
     return _one_line("""The ground station. The aircraft's camera sends its picture by radio at 5.8
         GHz to the video receiver; a composite cable leads to the USB capture card, and a USB cable
         to the computer, where falconwing runs. A second USB cable leads from the computer to the
-        Arduino Mega, the trainer bridge; the trainer lead (16a) leads from it to the transmitter, and
-        in its place the measuring lead (16b) from the transmitter to it while the radio is measured.
+        Arduino Mega, the trainer bridge; the trainer lead (16a) leads from it to the
+        transmitter, and in its place the measuring lead (16b) from the transmitter to it while the
+        radio is measured.
         A remote receiver on its pin 19 gives it the pilot's sticks. The
         safety pilot holds the transmitter and its trainer switch. The transmitter sends at 2.4 GHz
         to the receiver in the aircraft. Dashed lines are radio, the others are cables.""")

@@ -460,8 +460,8 @@ def draw_venue(path: Path) -> str:
         far wall and {flight["net_m"]:g} m from a net along the near one. Behind the net,
         {net:.0f} m from the wall: charging place with a guard, safety pilot and operator at the
         middle, helper and class; a guard stands outside each door. In the middle of the hall the
-        approach, from the hand-over point 20 m before the pad; the marker is {pad.x_start:g} m before
-        the pad and 2 m to the left of its centre line."""
+        approach, from the hand-over point 20 m before the pad; the marker is {pad.x_start:g} m
+        before the pad and 2 m to the left of its centre line."""
 
 
 def hall_from_above(ax: Any) -> None:
