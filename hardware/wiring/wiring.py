@@ -38,7 +38,7 @@ JOINTS = (  # from, to, by what
     ("video", "card", "composite"),
     ("card", "computer", "USB"),
     ("computer", "board", "USB"),
-    ("board", "radio", "lead 16a"),
+    ("board", "radio", "trainer\nlead 16a"),
     ("remote", "board", "pin 19"),
     ("pilot", "radio", ""),
     ("radio", "receiver", "2.4 GHz"),
