@@ -38,6 +38,7 @@ from projection import (  # noqa: E402
     triangles,
 )
 from sheet import ARROW, TEXT_PX, Sheet  # noqa: E402
+from solids import box, rod, tube  # noqa: E402
 
 MANUAL = FOLDER.parents[1] / "manual"
 FIGURES = MANUAL / "figures" / "steps"
@@ -103,9 +104,9 @@ class Book:
             moved = np.zeros(3)
             if name in aside and name in self.shapes:
                 moved = share * np.array(self.shapes[name].apart)
-            label = name
+            label = name.removeprefix("flat ")
             if PART_OF.get(name, name) in self.shapes:
-                label = f"{self.shapes[PART_OF.get(name, name)].number} {name}"
+                label = f"{self.shapes[PART_OF.get(name, name)].number} {label}"
             ghost = name in picture.get("ghost", [])
             found.append(Part(name, label, self.mesh(name) + moved, name in new, ghost, moved))
         return found
@@ -135,10 +136,11 @@ class Book:
         image, owner = compose(parts, view)
         sheet = Sheet(image)
         self._arrows(sheet, step, parts, view)
-        for begin, end, text in lengths:
+        aside = picture.get("text_of", {})
+        for name, (begin, end, text) in zip(picture.get("measures", []), lengths, strict=True):
             first, last = (view.pixels(np.array(point))[:2] for point in (begin, end))
             sheet.arrow(first, last, both=True)
-            away = np.array(picture.get("text", [0, -30])) * SMOOTH
+            away = np.array(aside.get(name, picture.get("text", [0, -30]))) * SMOOTH
             sheet.text_box((first + last) / 2.0 + away, text, ARROW)
         anchors = [
             (part.label, at)
@@ -146,6 +148,8 @@ class Book:
             if part.name in named and (at := anchor(owner, k)) is not None
         ]
         sheet.callouts(anchors, left)
+        for text, point in picture.get("texts", []):
+            sheet.text_box(view.pixels(np.array(point, dtype=float))[:2], text)
         return sheet.png(), self.describe(step, parts, [text for text, _ in anchors])
 
     def _arrows(self, sheet: Sheet, step: dict[str, Any], parts: list[Part], view: View) -> None:
@@ -191,6 +195,8 @@ class Book:
             text += f" Arrows lead to the places of {', '.join(moving)}."
         for name in step["picture"].get("measures", []):
             text += f" Marked length: {MEASURES[name](self.sources)[2]}."
+        if words := [said for said, _ in step["picture"].get("texts", [])]:
+            text += f" Words in the picture: {', '.join(words)}."
         if old:
             text += f" Grey, from earlier steps: {', '.join(old)}."
         return text + (f" Numbers of the parts list: {', '.join(labels)}." if labels else "")
@@ -263,8 +269,38 @@ def _battery_at(sources: Any, x: float, y: float) -> Any:
     return Pos(x, y, 3.0) * Box(*sources.envelope["aircraft"]["battery"], align=low)
 
 
+def _filter_flat() -> dict[str, Any]:
+    """The filter laid out on the bench, from the battery on the left to the camera on the right."""
+    from build123d import Compound
+
+    up, wire, apart = 5.0, 1.6, 13.0  # of the wires' middle, their diameter, half their distance
+    ends = (-62.0, 62.0)
+    joints = [rod((3.0, y, up - 1.5), (3.0, y, up + 1.5), 4.0) for y in (apart, -apart)]
+    legs = [
+        tube([(11.0, side * 2.0, up), (3.0, side * 2.0, up), (3.0, side * apart, up)], 0.9)
+        for side in (1.0, -1.0)
+    ]
+    plus = [
+        rod((begin, apart, up), (end, apart, up), wire)
+        for begin, end in ((ends[0], -40.0), (-33.0, -20.0), (-10.0, ends[1]))
+    ]
+    minus = rod((ends[0], -apart, up), (ends[1], -apart, up), wire)
+    return {
+        "flat resistor": rod((-40.0, apart, up), (-33.0, apart, up), 2.5),
+        "flat inductor": rod((-20.0, apart, up), (-10.0, apart, up), 10.0),
+        "flat capacitor": rod((11.0, 0.0, up), (22.0, 0.0, up), 8.0),
+        "flat wires": Compound(children=[*plus, minus, *legs, *joints]),
+        "stripe": box((16.5, -2.2, up + 3.2), (11.0, 1.6, 1.4)),
+    }
+
+
 PAD = LandingPad()
-PART_OF = {"jig as printed": "balance jig", "aircraft": "", "battery in its bag": "battery"}
+PART_OF = {
+    "jig as printed": "balance jig",
+    "aircraft": "",
+    "battery in its bag": "battery",
+    **{f"flat {name}": name for name in ("resistor", "inductor", "capacitor", "wires")},
+}
 EXTRAS = {  # drawn to show scale and use; no parts of the list
     "aircraft": lambda book: _aircraft_at(
         book, 1000.0 * PAD.x_start + 1200.0, 1000.0 * PAD.y_centre, 1000.0 * PAD.height
@@ -276,6 +312,10 @@ EXTRAS = {  # drawn to show scale and use; no parts of the list
     "black cells": lambda book: triangles(surroundings().marker_cells()),
     "cable": lambda book: triangles(surroundings().usb_cable()),
     "jig as printed": lambda book: triangles(_jig_as_printed(book.sources)),
+    **{
+        name: lambda book, name=name: triangles(_filter_flat()[name])
+        for name in ("flat resistor", "flat inductor", "flat capacitor", "flat wires", "stripe")
+    },
     "battery in its bag": lambda book: triangles(_battery_at(book.sources, 240.0, 130.0)),
 }
 
@@ -283,6 +323,18 @@ EXTRAS = {  # drawn to show scale and use; no parts of the list
 def _measure_lens(sources: Any) -> tuple[Any, Any, str]:
     x, _, z = sources.lens
     return (x, 0.0, 0.0), (x, 0.0, z), f"{z:.0f} mm over the axis"
+
+
+def _measure_ahead(sources: Any) -> tuple[Any, Any, str]:
+    camera, x = sources.camera.body_mm, sources.ahead("camera_analog")
+    y, z = camera.width / 2.0 + 6.0, sources.lens[2] + 3.0
+    return (x, y, z), (x + camera.lens_ahead, y, z), "lens_ahead"
+
+
+def _measure_depth(sources: Any) -> tuple[Any, Any, str]:
+    camera, x = sources.camera.body_mm, sources.ahead("camera_analog")
+    y, z = camera.width / 2.0 + 6.0, sources.lens[2] + 3.0
+    return (x, y, z), (x - camera.depth_behind, y, z), "depth_behind"
 
 
 def _measure_disc(sources: Any) -> tuple[Any, Any, str]:
@@ -295,7 +347,27 @@ def _measure_mark(sources: Any) -> tuple[Any, Any, str]:
     x = sources.leading_edge
     bottom = sources.wing_top - sources.envelope["aircraft"]["wing_thickness"] - 22.0
     mark = next(1000.0 * item.x for item in sources.items if item.id == "airframe")
-    return (x, -90.0, bottom), (x - mark, -90.0, bottom), f"{mark:.1f} mm"
+    gap = assembly_script().script("jig").GAP
+    words = f"{mark:.1f} mm to the ridge, {mark + gap:.1f} from the wall"
+    return (x, -90.0, bottom), (x - mark, -90.0, bottom), words
+
+
+def _measure_wall(sources: Any) -> tuple[Any, Any, str]:
+    jig = assembly_script().script("jig")
+    wall = jig.wall_at(jig.load_wing(sources.items, sources.airframe, sources.envelope))
+    y = -0.5 * jig.WIDE - 4.0
+    return (0.0, y, 0.0), (wall, y, 0.0), f"{wall:.1f} mm from ridge to wall"
+
+
+def _measure_behind(sources: Any) -> tuple[Any, Any, str]:
+    y = 1000.0 * PAD.y_centre
+    x = 1000.0 * float(Marker().T_world_marker[0, 3])
+    return (x, y, 0.0), (1000.0 * PAD.x_start, y, 0.0), f"{PAD.x_start - x / 1000.0:g} m"
+
+
+def _measure_aside(sources: Any) -> tuple[Any, Any, str]:
+    x, y, _ = (1000.0 * float(value) for value in Marker().T_world_marker[:3, 3])
+    return (x, y, 0.0), (x, 1000.0 * PAD.y_centre, 0.0), f"{y / 1000.0 - PAD.y_centre:g} m"
 
 
 def _measure_pad(sources: Any) -> tuple[Any, Any, str]:
@@ -324,7 +396,12 @@ def _measure_height(sources: Any) -> tuple[Any, Any, str]:
 MEASURES = {
     "lens_height": _measure_lens,
     "disc_gap": _measure_disc,
+    "lens_ahead": _measure_ahead,
+    "depth_behind": _measure_depth,
     "mark": _measure_mark,
+    "wall": _measure_wall,
+    "behind": _measure_behind,
+    "aside": _measure_aside,
     "pad": _measure_pad,
     "marker": _measure_marker,
     "marker_height": _measure_height,

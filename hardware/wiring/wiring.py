@@ -31,13 +31,15 @@ BOXES = {  # column, row, what it is
     "radio": (2, 1, "transmitter\nwith trainer port"),
     "pilot": (2, 2, "safety pilot\nholds the switch"),
     "receiver": (1, 1, "aircraft: receiver"),
+    "remote": (3, 2, "remote receiver"),
 }
 JOINTS = (  # from, to, by what
     ("camera", "video", "5.8 GHz"),
     ("video", "card", "composite"),
     ("card", "computer", "USB"),
     ("computer", "board", "USB"),
-    ("board", "radio", "trainer lead"),
+    ("board", "radio", "trainer\nlead 16a"),
+    ("remote", "board", "pin 19"),
     ("pilot", "radio", ""),
     ("radio", "receiver", "2.4 GHz"),
 )
@@ -140,9 +142,13 @@ def draw_trainer(path: Path) -> str:
         1e3 * lead_levels(5.0)["into_lead_a"],
         1e3 * lead_levels(9.0)["pilot_pin_a"],
     )
-    names = [("11", f"pin {PPM_PIN}"), ("gnd", "GND"), ("49", f"pin {PILOT_PIN}"), ("rst", "RESET")]
-    pins = {name: (0.0, -2.6 * k) for k, (name, _) in enumerate(names)}
-    _box(drawing, (-4.2, -9.0), 4.2, 10.2, "Arduino\nMega 2560")
+    names = [
+        ("11", f"pin {PPM_PIN}"), ("gnd", "GND"), ("49", f"pin {PILOT_PIN}"), ("gnd_b", "GND"),
+        ("3v3", "3.3V"), ("19", "RX1 19"), ("gnd_c", "GND"), ("rst", "RESET"),
+    ]  # fmt: skip
+    heights = (0.0, -2.6, -4.6, -6.0, -8.0, -9.3, -10.6, -12.6)
+    pins = {name: (0.0, y) for (name, _), y in zip(names, heights, strict=True)}
+    _box(drawing, (-4.2, -13.8), 4.2, 15.0, "Arduino\nMega 2560")
     for (_, text), (x, y) in zip(names, pins.values(), strict=True):
         drawing.add(elm.Label().at((x - 0.15, y)).label(text, halign="right", loc="center"))
     drawing.add(elm.Resistor().right().at(pins["11"]).label("1 kΩ", loc="top"))
@@ -150,20 +156,27 @@ def draw_trainer(path: Path) -> str:
     drawing.add(elm.Resistor().right().label("1 kΩ", loc="top"))
     drawing.add(elm.Line().right(1.0))
     drawing.add(
-        elm.Dot(open=True).label(
-            f"tip of a 3.5 mm mono plug,\n{open_v:.2f} V, to the trainer port", loc="right"
-        )
+        elm.Dot(open=True).label(f"16a: tip of a 3.5 mm\nmono plug, {open_v:.2f} V", loc="right")
     )
     drawing.add(elm.Resistor().down().at(node.center).toy(pins["gnd"]).label("2 kΩ", loc="bot"))
     low = drawing.add(elm.Dot())
     drawing.add(elm.Line().at(pins["gnd"]).to(low.center))
     drawing.add(elm.Line().right(4.0).at(low.center))
-    drawing.add(elm.Dot(open=True).label("sleeve of the plug", loc="right"))
+    drawing.add(elm.Dot(open=True).label("16a: its sleeve", loc="right"))
     drawing.add(elm.Resistor().right().at(pins["49"]).label("4.7 kΩ", loc="top"))
     drawing.add(elm.Line().right(4.0))
     drawing.add(
-        elm.Dot(open=True).label("radio's output (tip),\nto measure and record", loc="right")
+        elm.Dot(open=True).label("16b: tip of the second\nplug, radio's output", loc="right")
     )
+    ends = [
+        ("gnd_b", "16b: its sleeve"),
+        ("3v3", "32: remote receiver, plus"),
+        ("19", "32: its data"),
+        ("gnd_c", "32: its minus"),
+    ]
+    for name, text in ends:
+        drawing.add(elm.Line().right(7.0).at(pins[name]))
+        drawing.add(elm.Dot(open=True).label(text, loc="right"))
     drawing.add(elm.Capacitor(polar=True).right().at(pins["rst"]))
     drawing.add(elm.Line().right(1.0))
     drawing.add(elm.Ground().label("10 µF, once flashed", loc="right"))
@@ -175,8 +188,9 @@ def draw_trainer(path: Path) -> str:
         {shared_ma:.1f} mA. To measure and record, the tip of the radio's own output goes through
         4.7 kilohm to pin {PILOT_PIN}, where 9 V push {pilot_ma:.2f} mA into the pin. A capacitor
         of 10 uF from RESET (plus) to ground is put in once the board is flashed. Levels and
-        polarity of the radio are to be measured first; pin {PPM_PIN} never meets the radio's
-        output.""")
+        polarity of the radio are to be measured first. The second plug's sleeve goes to GND
+        as well. The remote receiver has its plus at the board's 3.3 V, its data at pin 19
+        (RX1) and its minus at GND. Pin {PPM_PIN} never meets the radio's output.""")
 
 
 def draw_ground(path: Path) -> str:
@@ -212,7 +226,10 @@ def draw_ground(path: Path) -> str:
     return _one_line("""The ground station. The aircraft's camera sends its picture by radio at 5.8
         GHz to the video receiver; a composite cable leads to the USB capture card, and a USB cable
         to the computer, where falconwing runs. A second USB cable leads from the computer to the
-        Arduino Mega, the trainer bridge; the trainer lead leads from it to the transmitter. The
+        Arduino Mega, the trainer bridge; the trainer lead (16a) leads from it to the
+        transmitter, and in its place the measuring lead (16b) from the transmitter to it while the
+        radio is measured.
+        A remote receiver on its pin 19 gives it the pilot's sticks. The
         safety pilot holds the transmitter and its trainer switch. The transmitter sends at 2.4 GHz
         to the receiver in the aircraft. Dashed lines are radio, the others are cables.""")
 

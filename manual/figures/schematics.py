@@ -310,7 +310,7 @@ def draw_safety(path: Path) -> str:
     with drawing(path, 6.6, 2.5) as axes:
         (ax,) = axes.flat
         bare(ax, (0.0, 14.2), (-1.4, 5.6))
-        places = {"BOOT": (1.2, 3.3), "SAFE": (5.2, 3.3), "LOST": (12.0, 0.2), "FAULT": (5.2, 0.7)}
+        places = {"BOOT": (1.2, 3.3), "SAFE": (5.2, 3.3), "LOST": (12.0, 0.2), "FAULT": (4.8, 0.7)}
         for name, (x, y) in places.items():
             box(ax, x, y, name, 2.0, 1.1)
         box(ax, 12.0, 3.3, "ACTIVE\nthe computer flies", 3.6, 1.1, facecolor=LIGHT)
@@ -318,11 +318,13 @@ def draw_safety(path: Path) -> str:
         asks = "engage on, and in 0.5 s\n5 commands near\nthe pilot's sticks"
         arrow(ax, (6.2, 3.55), (10.2, 3.55), asks)
         ends = "engage off, or the pilot\nmoves a stick by 12 %"
-        arrow(ax, (10.2, 3.05), (6.2, 3.05), ends, shift=(0.55, -1.1))
+        arrow(ax, (10.2, 3.05), (6.2, 3.05), ends, shift=(0.1, -1.2))
         arrow(ax, (12.0, 2.75), (12.0, 0.75), "200 ms silence", shift=(1.3, -0.2))
-        arrow(ax, (11.0, 0.2), (5.7, 2.75), "engage off", shift=(2.1, -0.35))
-        arrow(ax, (5.2, 1.25), (5.2, 2.75), "engage off,\n1 s later", shift=(-0.95, -0.35))
-        arrow(ax, (0.4, 0.7), (4.2, 0.7), "from any state", shift=(-0.3, 0.1))
+        ax.plot([11.0, 6.05, 6.05], [0.2, 0.2, 2.4], color=DARK, lw=1.1)
+        arrow(ax, (6.05, 2.3), (6.05, 2.75))
+        ax.text(8.5, 0.35, "engage off", ha="center", fontsize=8.2)
+        arrow(ax, (4.8, 1.25), (4.8, 2.75), "engage off,\n1 s later", shift=(-1.1, -0.35))
+        arrow(ax, (0.4, 0.7), (3.8, 0.7), "from any state", shift=(-0.3, 0.1))
         ax.text(
             0.4,
             -0.4,
@@ -429,8 +431,18 @@ def draw_venue(path: Path) -> str:
         ax.fill_between(
             (corner[0], corner[0] + pad.length), corner[1], corner[1] + pad.width, color=LIGHT, lw=0
         )
-        arrow(ax, (corner[0] - 18.0, middle), (corner[0], middle), "approach")
+        start = (corner[0] - 20.0, middle)  # chapter 12: 20 m before the pad
+        arrow(ax, start, (corner[0], middle), "approach, 20 m")
+        ax.plot(*start, "D", ms=6, color=DARK)
+        ax.text(start[0] - 0.6, middle - 1.0, "hand-over", va="top", fontsize=8.5)
+        ax.plot([corner[0] - pad.x_start] * 2, [middle + 1.5, middle + 2.5], color=DARK, lw=4.0)
+        ax.text(corner[0] - pad.x_start, middle + 2.9, "marker", ha="center", fontsize=8.5)
         ax.text(corner[0] + 0.5 * pad.length, middle, "pad 13 x 2 m", ha="center", va="center")
+        for x, side in ((0.0, 1.0), (float(long), -1.0)):
+            ax.plot([x, x], [wide - 3.5, wide - 0.5], color=MIDDLE, lw=5.0)
+            ax.plot(x - 0.9 * side, wide - 2.0, "v", ms=7, color=DARK, clip_on=False)
+            where = {"ha": "left" if side > 0 else "right", "va": "top", "fontsize": 8.5}
+            ax.text(x + 0.7 * side, wide - 0.6, "door,\nguard", **where)
         lap_words = f"lap {flight['circle_m']:g} m wide, straights of {straight:g} m"
         ax.text(0.5 * long, wide - 2.6, lap_words, ha="center")
         for x, mark, text in (
@@ -447,7 +459,9 @@ def draw_venue(path: Path) -> str:
         and two straights of {straight:g} m is {flight["circle_m"]:g} m wide, one metre from the
         far wall and {flight["net_m"]:g} m from a net along the near one. Behind the net,
         {net:.0f} m from the wall: charging place with a guard, safety pilot and operator at the
-        middle, helper and class. In the middle of the hall the approach to the pad."""
+        middle, helper and class; a guard stands outside each door. In the middle of the hall the
+        approach, from the hand-over point 20 m before the pad; the marker is {pad.x_start:g} m
+        before the pad and 2 m to the left of its centre line."""
 
 
 def hall_from_above(ax: Any) -> None:

@@ -58,7 +58,7 @@ def test_numbers_are_those_of_the_list():
     back = 1000.0 * balance_move(items, "battery", bought)
     assert f"Moving the battery {back:.0f} mm back" in text
     limits = (
-        largest_mass(27.0, built, margin=2.0, hold_height=True),
+        largest_mass(25.0, built, margin=2.0, hold_height=True),
         largest_mass(20.0, built, hold_height=True),
         largest_mass(20.0, built),
     )

@@ -253,6 +253,46 @@ def test_limit_of_the_usa_is_its_field_strength():
     assert "No legal advice" in page().text
 
 
+def test_the_camera_is_judged_before_it_is_ordered():
+    """Chapter 3, by hand: 25 / 1.585 = 15.8 mW and 0.75 / 1.585 = 0.47 mW into 2 dBi; attenuators
+    10 log(39.6 / 25) = 2.0 dB and 10 log(317 / 25) = 11.03 dB, so the next whole one is named.
+    """
+    rows = {row[0]: " ".join(row[1:]) for row in printed_table("where")[1:]}
+    assert "at most 15.8 mW (0 dBi: 25 mW)" in rows["EU, EEA"]
+    assert "at most 0.47 mW (0 dBi: 0.75 mW)" in rows["USA, without a licence"]
+    assert "stop here" in rows["USA, without a licence"]
+    for power, whole in ((25.0, 2), (200.0, 12)):
+        needed = 10.0 * math.log10(power * 10.0**0.2 / 25.0)
+        assert (
+            whole == math.ceil(round(needed, 3))
+            and f"{whole} dB for {power:g} mW" in rows["EU, EEA"]
+        )
+    regions = {row["id"] for row in DATA["video"]["regions"]}
+    assert {row["region"] for row in DATA["video"]["order"]} == regions
+    text = page().text
+    assert text.index("Before you order the camera") < text.index("Next: order.")
+
+
+def test_no_meter_at_an_aircraft_whose_propeller_may_turn():
+    """Troubleshooting: no row has a propeller on and a multimeter."""
+    for part in DATA["troubleshooting"]["parts"]:
+        for row in part["rows"]:
+            assert not ("propeller on" in row["test"] and "meter" in row["test"]), row["symptom"]
+
+
+def test_mean_of_pulses_gives_their_height():
+    """Five pulses of 0.4 ms in 22 ms are 1 / 11: of 9 V that rest low 0.82 V are read, of 3.3 V
+    0.30 V and 3.0 V; the border of chapter 7 lies between 12 V resting low and 1.8 V resting high.
+    """
+    share = 5 * 0.4 / 22.0
+    assert 9.0 * share == pytest.approx(0.8, abs=0.03) and 3.3 * share == pytest.approx(0.3)
+    assert 12.0 * share < 1.3 < 1.8 * (1.0 - share)
+    text = page().text
+    assert "A reading of 1.3 V or more" in text and "0.8 V are pulses of 9 V" in text
+    assert (round(1.0 - share, 2), round(share, 2)) == (0.91, 0.09)
+    assert "height = reading / 0.91" in text and "height = reading / 0.09" in text
+
+
 def test_channels_inside_the_bands():
     """By hand, 9 MHz to both sides: A8 (5716 to 5734) and F8 (5871 to 5889) leave 5725 to 5875;
     in Japan 5740 and 5745 lie in 5730 to 5755, and 5780, 5785, 5800 in 5770 to 5810.

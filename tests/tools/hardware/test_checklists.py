@@ -31,6 +31,23 @@ def test_propeller_comes_off_first_and_on_late():
     assert "propeller" not in [step.id for step in lists.bench.steps]
 
 
+def test_nobody_touches_the_trainer_plug_with_the_throttle_cut_off():
+    """Safety rule: the plug is in the back of the radio, so a hand leaves the sticks for it. It is
+    pulled while the cut is on, the cut goes off last; and the camera, which gets warm in still air,
+    has power for two minutes at a time wherever the list has a battery in.
+    """
+    steps = load_checklists().preflight.steps
+    order = [step.id for step in steps]
+    assert order[-2:] == ["trainer_plug", "cut_off"] and steps[-2].stop
+    assert "Throttle cut still on" in steps[-2].do and "pull the trainer plug now" in steps[-2].do
+    warm = {
+        step.id: step.do for step in steps if "camera" in step.do.lower() and step.id != "range"
+    }
+    powered = [name for name in ("battery", "picture", "propeller") if "two" in warm.get(name, "")]
+    assert powered == ["battery", "picture", "propeller"]
+    assert "two minutes at most" in next(step.do for step in steps if step.id == "range")
+
+
 def test_whatever_takes_the_aircraft_back_must_pass():
     """The radio's switch is the real takeover: no list goes on when it, or the loss of the
     computer, failed.
