@@ -130,3 +130,12 @@ def test_a_moved_slider_draws_the_figure_anew(monkeypatch):
     wanted = [(30.0, 20.0), (45.0, 20.0), (45.0, 30.0)]
     assert drawn == [{"bank_deg": bank, "hall_m": hall} for bank, hall in wanted]
     assert first.data[:4] == b"\x89PNG"
+
+
+def test_a_figure_that_stops_leaves_no_sliders(monkeypatch):
+    """As where a function is not written: the cell says so, and nothing is shown."""
+    shown = []
+    monkeypatch.setattr("IPython.display.display", lambda each, **_: shown.append(each))
+    with pytest.raises(ZeroDivisionError):
+        figure_with_sliders(lambda figure, **_: 1 / 0, "nothing", (3.0, 2.0), **SLIDERS)
+    assert shown == []

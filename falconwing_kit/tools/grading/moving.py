@@ -156,13 +156,14 @@ def figure_with_sliders(
     from IPython.display import display
 
     values = {name: each.start for name, each in sliders.items()}
+    first = _drawn(draw, values, words, size)  # which may stop: then no slider stands alone
     box, parts = _slider_box(sliders, words)
     if box:
         display(box, raw=True)
     else:
         said = ", ".join(f"{each.label} = {each.start:g}" for each in sliders.values())
         print(f"to move {said}: install ipywidgets (pip install ipywidgets) and start again")
-    shown = display(_drawn(draw, values, words, size), display_id=True)
+    shown = display(first, display_id=True)
 
     def moved(name: str, value: float) -> None:
         values[name] = value
