@@ -34,7 +34,7 @@ BLUE, ORANGE, GREEN = (
 )  # distinguishable for colour-blind readers (Okabe and Ito)
 
 
-def draw_turn(width: float, radius: float, bank_deg: float) -> None:
+def draw_turn(width: float, radius: float, bank_deg: float, ax: Any = None) -> None:
     """Draw a full circle between two walls, seen from above, centred between them.
 
     Args:
@@ -42,10 +42,12 @@ def draw_turn(width: float, radius: float, bank_deg: float) -> None:
         radius: of the path of the centre of gravity [m].
         bank_deg: bank angle [deg]; the wing reaches span / 2 * cos(bank) beyond the path, to both
             sides.
+        ax: of matplotlib, to draw into; a new figure's if None.
     """
-    import matplotlib.pyplot as plt
+    if ax is None:
+        import matplotlib.pyplot as plt
 
-    ax: Any = plt.subplots(figsize=(6, 6))[1]
+        ax = plt.subplots(figsize=(6, 6))[1]
     reach = 0.5 * SPAN * np.cos(np.radians(bank_deg))
     angle = np.linspace(0.0, 2.0 * np.pi, 200)
     ax.plot(radius * np.cos(angle), radius * np.sin(angle), color=BLUE, label="centre of gravity")

@@ -293,11 +293,27 @@ plt.show()
 # tips and clearance are not in the figure yet; they take a part of the 10 m.)
 
 # %% [markdown]
-# The same from above: your turn between the walls, drawn to scale.
+# The same from above: your turn between the walls, drawn to scale. Move mass, bank and hall (sliders in a running
+# notebook): what makes the turn of 300 g fit?
 
 # %%
-given.draw_turn(20.0, level_turn(min_speed(150.0, 20.0), 30.0)[2], 30.0)
-plt.show()
+from falconwing_kit.tools.grading import Slider, figure_with_sliders
+
+
+def turn_between_walls(figure, mass_g, bank_deg, hall_m):
+    """Your level turn at 20 deg C, from above."""
+    radius = level_turn(min_speed(mass_g, 20.0), bank_deg)[2]
+    given.draw_turn(hall_m, radius, bank_deg, figure.subplots())
+
+
+figure_with_sliders(
+    turn_between_walls,
+    "From above: a circle between two walls, the ring of the wing tips and the clearance.",
+    (6.0, 6.0),
+    mass_g=Slider("mass [g]", 50.0, 400.0, 150.0, 10.0),
+    bank_deg=Slider("bank [deg]", 10.0, 70.0, 30.0),
+    hall_m=Slider("hall's width [m]", 10.0, 40.0, 20.0),
+)
 
 # %% [markdown]
 # *In words: a circle between two walls 20 m apart, with the path of the centre of gravity, the ring that the wing tips

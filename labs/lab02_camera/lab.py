@@ -316,6 +316,32 @@ plt.show()
 # with the cube of the distance from it, to about 16 px in the picture's corners.
 
 # %% [markdown]
+# The same without typing: move an error into the first view's roll, into the tilt or into $k_1$ (sliders in a running
+# notebook). At the start nothing is wrong and the lines lie on pad and marker.
+
+# %%
+from falconwing_kit.tools.grading import Slider, figure_with_sliders
+
+
+def view_with_errors(figure, roll_deg, tilt_deg, k1):
+    """The first view, with errors added to its roll and to the tilt, and another k1."""
+    view = views[0]
+    R = rot_from_euler(view["roll"] + np.radians(roll_deg), view["pitch"], view["heading"])
+    pose = camera_pose(R, view["p_map"], p_body_camera, tilt + np.radians(tilt_deg))
+    bent = lens | {"k1": k1}
+    given.draw_view(figure.subplots(), view, lambda p: project_points(map_to_camera(p, pose), bent))
+
+
+figure_with_sliders(
+    view_with_errors,
+    "A hall with pad and marker; an outline lies on each, until an error moves it.",
+    (7.0, 5.4),
+    roll_deg=Slider("error of the roll [deg]", -30.0, 30.0, 0.0),
+    tilt_deg=Slider("error of the tilt [deg]", -15.0, 15.0, 0.0),
+    k1=Slider("k1 [-]", -0.5, 0.5, lens["k1"], 0.01),
+)
+
+# %% [markdown]
 # ## Questions
 # **Question 1.** A friend's overlay fits a view without roll well. In a banked view the lines are turned against the
 # picture, by about twice the roll. Which mistake is it? And what would you see if the runway's heading were left out?

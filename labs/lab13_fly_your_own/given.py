@@ -24,6 +24,7 @@ SOFT_SINK = COHORT["soft_sink"]  # a touchdown up to this sink rate is soft [m/s
 IMAGE_EVERY = 2  # a picture every second step
 
 STEP_S, STEPS = 0.05, 240  # [s]; a flight ends after 12 s at the latest
+FIT_ROWS, AHEAD = 54, 20  # steps that lab 5 identifies, and those of the forecast
 WIDTH, HEIGHT = 160, 120  # of the film [px]
 LENS = {"fx": 99.2, "fy": 99.2, "cx": 80.0, "cy": 60.0}  # [px], first pixel's centre at (0.5, 0.5)
 GAUSSIANS = 10_000  # of the thinned hall
@@ -593,7 +594,7 @@ def fly_entry(entry: str, score: Callable[[Array], tuple[float, ...]]) -> float:
 
 
 def second_opinions(parts: Any, flown: Mapping[str, Any]) -> list[str]:
-    """What your other labs say about a flight, a line each: labs 1, 2 and 6, 5, 10, 11."""
+    """What your other labs say about a flight, a line each: labs 1, 2 and 6, 5 and 4, 10, 11."""
     states, K = np.asarray(flown["states"]), lab_given(parts, "lab06").K
     v_min = float(parts.sizing.min_speed(150.0, 20.0))
     _, needed, radius = parts.sizing.level_turn(v_min, math.degrees(BANK_LIMIT))
@@ -629,6 +630,13 @@ def second_opinions(parts: Any, flown: Mapping[str, Any]) -> list[str]:
     slope = np.asarray(parts.identification.local_slope(t, noisy, 4)[0])
     miss = float(np.sqrt(np.nanmean((slope - states[:, 6]) ** 2)))
     lines.append(f"lab 5: speed along x from positions of 3 cm noise: {miss:.2f} m/s rms off")
+    if len(states) > FIT_ROWS + AHEAD:
+        fitted, guess = forecast_misses(parts, flown)
+        lines.append(
+            f"labs 5 and 4: your model with numbers fitted to {STEP_S * FIT_ROWS:.1f} s is "
+            f"{100.0 * fitted:.0f} cm off {STEP_S * AHEAD:.0f} s later, lab 5's guess "
+            f"{100.0 * guess:.0f} cm"
+        )
     if flown["frames"] and flown["frames"][0] is not None:
         grey = np.asarray(flown["frames"]).mean(axis=3).astype(np.uint8)
         ssim, alarm = parts.bridge.ssim_monitor(grey, 0.2, 3)
@@ -639,6 +647,40 @@ def second_opinions(parts: Any, flown: Mapping[str, Any]) -> list[str]:
     low, high = parts.landings.success_interval(1, 1, 0.95)
     lines.append(f"lab 11: one landing of one shows a success rate of {low:.2f} to {high:.2f}")
     return lines
+
+
+def forecast_misses(parts: Any, flown: Mapping[str, Any]) -> tuple[float, float]:
+    """Your lab 5 identifies the flight's first, straight part, and your lab 4 flies on from there.
+
+    The poses have lab 5's noise and are SIMULATED. Eight numbers of one straight leg are not well
+    known, and those of sideways flight are not in lab 5: good for a forecast of the leg, not for a
+    whole flight, so the aircraft that flies keeps lab 4's numbers.
+
+    Args:
+        parts: yours or the kit's.
+        flown: "states" (n + 1, 9) and "commands" (n, 4), n above FIT_ROWS + AHEAD.
+
+    Returns:
+        How far the forecast is from the flight after AHEAD steps [m]: with the numbers that
+        `multiple_shooting` finds, and with the guess that it begins from.
+    """
+    lab05, K = lab_given(parts, "lab05"), lab_given(parts, "lab04").K
+    states, commands = np.asarray(flown["states"]), np.asarray(flown["commands"])
+    leg = states[: FIT_ROWS + 1]
+    poses = np.column_stack([leg[0, 0] - leg[:, 0], leg[:, 2], leg[:, 3]])  # it flies to -x
+    poses = poses + lab05.SIGMA * np.random.default_rng(4).normal(size=poses.shape)
+    before = np.vstack([np.zeros(4), commands])[: FIT_ROWS + 1]
+    acting = 0.5 * (before + commands[: FIT_ROWS + 1])[:, [0, 2]]  # mean of a step: it is a ramp
+    link = np.array([0.02, 0.02, 0.01, 0.05, 0.05])  # m, m, rad, m/s, m/s
+    found, _ = parts.identification.multiple_shooting(poses[None], acting[None], FIT_ROWS, link)
+    misses = []
+    for numbers in (found, lab05.GUESS):
+        step = new_plant(parts, K={**K, **dict(zip(lab05.NAMES, map(float, numbers), strict=True))})
+        state = states[FIT_ROWS]
+        for k in range(FIT_ROWS, FIT_ROWS + AHEAD):
+            state = step(state, commands[k - 1], commands[k])
+        misses.append(float(np.linalg.norm(state[:3] - states[FIT_ROWS + AHEAD, :3])))
+    return misses[0], misses[1]
 
 
 def _square(half: float) -> list[tuple[float, float]]:

@@ -2,7 +2,8 @@
 
 A named mistake is right if its function and the wrong one agree in twelve or more calls of the
 hidden cases, whose arguments the hints never saw (all calls, where a judge makes fewer). A general
-finding is right if the frozen kind of the edit is one of those it stands for.
+finding is right if the frozen kind of the edit is one of those it stands for. Two frozen lists are
+judged alike: holdout/generate.py's, and holdout/second.py's of two tokens or more.
 """
 
 import signal
@@ -18,6 +19,7 @@ from tests.labs.holdout.generate import (
     solution_source,
     wrong_sources,
 )
+from tests.labs.holdout.second import second, second_sources
 
 SIGNS = {"sign of a term", "sign of a difference", "sign of a whole term", "swapped arguments"}
 FACTORS = {"missing factor", "constant", "missing term", "other function", "missing power"}
@@ -52,10 +54,12 @@ class Probes:
         return self.answers[label]
 
 
-def judged(here: LabHere, hints: Hints, rows: list[dict]) -> list[tuple[str, dict, str]]:
+def judged(
+    here: LabHere, hints: Hints, rows: list[dict], sources=wrong_sources
+) -> list[tuple[str, dict, str]]:
     """For each wrong function of an exercise: "right", "wrong", "silent", and what was said."""
     name = rows[0]["exercise"]
-    wrong, probes = wrong_sources(solution_source(here, name), name), Probes(here, name)
+    wrong, probes = sources(solution_source(here, name), name), Probes(here, name)
     named = library_functions(here, name)
     found = []
     for row in rows:
@@ -75,20 +79,22 @@ def judged(here: LabHere, hints: Hints, rows: list[dict]) -> list[tuple[str, dic
             verdict = "right" if agree and got else "wrong"
         elif said.cause:
             stands_for = SIGNS if "sign" in said.cause else FACTORS
-            verdict = "right" if kind in stands_for else "wrong"
+            verdict = "right" if kind.removesuffix(", everywhere") in stands_for else "wrong"
         signal.alarm(0)
         shown = any(hints.first_difference(key, got) for key, got in recorder.calls)
         found.append((verdict, row | {"shown": shown}, said.cause))
     return found
 
 
-def judge_lab(folder, keep=lambda row: True) -> list[tuple[str, dict, str]]:
-    """All frozen wrong functions of a lab, judged."""
+def judge_lab(folder, keep=lambda row: True, *, second_list=False) -> list[tuple[str, dict, str]]:
+    """All frozen wrong functions of a lab, judged; those of the second list on wish."""
     here, hints = LabHere(folder), load_hints(folder)
-    rows = [row for row in frozen() if row["lab"] == folder.name and keep(row)]
+    listed, sources = (second, second_sources) if second_list else (frozen, wrong_sources)
+    rows = [row for row in listed() if row["lab"] == folder.name and keep(row)]
     found = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for name in dict.fromkeys(row["exercise"] for row in rows):
-            found += judged(here, hints[name], [row for row in rows if row["exercise"] == name])
+            of_name = [row for row in rows if row["exercise"] == name]
+            found += judged(here, hints[name], of_name, sources)
     return found

@@ -165,3 +165,19 @@ def test_board_ranks_by_what_is_flown_not_by_what_is_claimed(given, tmp_path):
     assert board[0].points == pytest.approx(score[3], abs=0.05)
     assert (board[1].points, board[1].claimed, board[1].problem) == (0.0, 100.0, "")
     assert "expected lab 13's entry" in board[2].problem and "finite" in board[3].problem
+
+
+def test_lab_5_identifies_what_lab_4_then_flies(given, tmp_path, monkeypatch):
+    """The flight is the plant's own: its numbers forecast a second of 7 m to a few centimetres.
+
+    Lab 5's guess, 30 % off in thrust and moment, misses by decimetres. A student's part is called.
+    """
+    parts, _ = mixture(tmp_path / "mixed", 4)
+    flown = fly_with(given, parts, pictures=False)[0]
+    fitted, guess = given.forecast_misses(parts, flown)
+    assert fitted < 0.05 and guess > 0.3
+    said = given.second_opinions(parts, {**flown, "frames": [None]})
+    assert any("labs 5 and 4" in line and f"{100.0 * fitted:.0f} cm off" in line for line in said)
+    stays = lambda *_: (given.lab_given(parts, "lab05").GUESS, None)  # noqa: E731
+    monkeypatch.setattr(parts.identification, "multiple_shooting", stays)
+    assert given.forecast_misses(parts, flown) == pytest.approx((guess, guess))

@@ -1,6 +1,8 @@
-"""Films of the labs: small enough, every picture in it, its lines in their colours."""
+"""Films of the labs: small enough, every picture in it, its lines in their colours; sliders."""
 
 import io
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from PIL import Image
 
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.tools.grading import (
+    figure_with_sliders,
     moving,
     moving_figure,
     moving_pictures,
@@ -69,3 +72,70 @@ def test_outlines_turn_and_climb_as_the_kit_counts_angles():
     right_wing = plan_view(0.0, 0.0, 0.0, span=1.0)
     assert right_wing[1].min() == -0.5 and right_wing[1].max() == 0.5
     assert side_view(0.0, 3.0, np.pi / 2.0, length=1.0)[:, 0] == pytest.approx([0.0, 3.5])
+
+
+def slope(figure, bank_deg, hall_m):
+    """A figure of two numbers: a line whose slope is the first, as wide as the second."""
+    figure.subplots().plot([0.0, hall_m], [0.0, bank_deg * hall_m])
+
+
+SLIDERS = {
+    "bank_deg": moving.Slider("bank [deg]", 10.0, 70.0, 30.0),
+    "hall_m": moving.Slider("hall [m]", 10.0, 40.0, 20.0, 2.0),
+}
+
+
+def shown_by(monkeypatch, draw=slope):
+    """What a notebook gets of a figure with sliders: each thing displayed or put in its place."""
+    shown = []
+    handle = SimpleNamespace(update=lambda each: shown.append(each))
+    display = lambda each, **_: shown.append(each) or handle  # noqa: E731
+    monkeypatch.setattr("IPython.display.display", display)
+    figure_with_sliders(draw, "a line", (3.0, 2.0), **SLIDERS)
+    return shown
+
+
+def test_without_sliders_the_figure_stands_still_and_says_at_which_numbers(monkeypatch, capsys):
+    """ipywidgets is made unimportable; the picture is a PNG with words."""
+    monkeypatch.setitem(sys.modules, "ipywidgets", None)
+    (picture,) = shown_by(monkeypatch)
+    assert picture.data[:8] == b"\x89PNG\r\n\x1a\n" and picture.alt == "a line"
+    said = capsys.readouterr().out
+    assert "bank [deg] = 30" in said and "hall [m] = 20" in said and "ipywidgets" in said
+
+
+def test_a_moved_slider_draws_the_figure_anew(monkeypatch):
+    """The drawing function gets the moved number and the others as they stand."""
+    widgets = pytest.importorskip("ipywidgets")
+    drawn, parts = [], []
+
+    class Taken(widgets.FloatSlider):
+        def __init__(self, **given):
+            super().__init__(**given)
+            parts.append(self)
+
+    monkeypatch.setattr(widgets, "FloatSlider", Taken)
+
+    def draw(figure, **values):
+        drawn.append(values.copy())
+        slope(figure, **values)
+
+    box, first = shown_by(monkeypatch, draw)
+    assert "Sliders, in a running notebook. a line" in box["text/plain"]  # where no widget is shown
+    assert "application/vnd.jupyter.widget-view+json" in box
+    assert [each.description for each in parts] == ["bank [deg]", "hall [m]"]
+    assert parts[1].min == 10.0 and parts[1].max == 40.0 and parts[1].step == 2.0
+    parts[0].value = 45.0
+    parts[1].value = 30.0
+    wanted = [(30.0, 20.0), (45.0, 20.0), (45.0, 30.0)]
+    assert drawn == [{"bank_deg": bank, "hall_m": hall} for bank, hall in wanted]
+    assert first.data[:4] == b"\x89PNG"
+
+
+def test_a_figure_that_stops_leaves_no_sliders(monkeypatch):
+    """As where a function is not written: the cell says so, and nothing is shown."""
+    shown = []
+    monkeypatch.setattr("IPython.display.display", lambda each, **_: shown.append(each))
+    with pytest.raises(ZeroDivisionError):
+        figure_with_sliders(lambda figure, **_: 1 / 0, "nothing", (3.0, 2.0), **SLIDERS)
+    assert shown == []

@@ -15,6 +15,8 @@ from falconwing_kit.tools.grading.lab import (
 )
 from falconwing_kit.tools.grading.mine import load_parts, whose
 from falconwing_kit.tools.grading.moving import (
+    Slider,
+    figure_with_sliders,
     moving_figure,
     moving_pictures,
     plan_view,
@@ -31,11 +33,13 @@ __all__ = [
     "Function",
     "Judge",
     "Lab",
+    "Slider",
     "Trials",
     "Values",
     "borrow",
     "check",
     "check_quiz",
+    "figure_with_sliders",
     "is_close",
     "is_same_answer",
     "keep_going",

@@ -9,6 +9,7 @@ import copy
 import hashlib
 import json
 import math
+import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -87,8 +88,16 @@ def raised(error: Exception) -> Answer:
         name = error.category.removeprefix("exception:")
     record = Answer({"raised": name if name in ERRORS else "Exception"})
     record.mark = raised_mark(record["raised"])
-    record.message = "" if isinstance(error, StudentError) else " ".join(str(error).split())[:300]
+    record.message = "" if isinstance(error, StudentError) else _message(error)
     return record
+
+
+def _message(error: Exception) -> str:
+    """An error's text; of a name without a value the name alone: Python changes its words."""
+    text = " ".join(str(error).split())[:300]
+    if isinstance(error, NameError) and (quoted := re.search(r"'(\w+)'", text)):
+        return f"no value: {quoted[1]}"
+    return text
 
 
 def errors_text(calls: Sequence[tuple[str, Answer]]) -> str:
@@ -138,11 +147,24 @@ class _Shift:
         if isinstance(value, np.ndarray) and value.dtype.kind == "f":
             shares = self._shares(value.size).reshape(value.shape)
             return (value * (1.0 + shares)).astype(value.dtype)
+        if isinstance(value, np.ndarray) and value.dtype.kind in "iu" and value.size > 1:
+            return self._whole(value)
         if isinstance(value, dict):
             return {key: self.of(each) for key, each in value.items()}
         if isinstance(value, tuple | list) and not hasattr(value, "_fields"):
             return type(value)(map(self.of, value))
         return value
+
+    def _whole(self, value: Any) -> Any:
+        """Whole numbers, kept whole: of a row its steps are moved, so that times stay in order."""
+        limits = np.iinfo(value.dtype)
+        shares = 1.0 + self._shares(value.size).reshape(value.shape)
+        if value.ndim == 1:
+            steps = np.diff(value.astype(float), prepend=0.0)
+            moved = np.cumsum(np.round(steps * shares))
+        else:
+            moved = np.round(value * shares)
+        return np.clip(moved, limits.min, limits.max).astype(value.dtype)
 
     def _shares(self, count: int) -> Any:
         self.number += 1

@@ -2,8 +2,9 @@
 
 Each mistake of an exercise is run through the public checks; the marks of its answers, its name,
 kind and place are stored, not its code. Mistakes that the checks cannot tell apart are compared on
-arguments nearby: the same function gets one name, different functions of one kind are named
-together, and those of different kinds are left out, so that nothing wrong is said.
+arguments nearby: the same function gets one name, different functions are named together where
+they are few and of one kind, or where one of them is listed, which then comes first; all others are
+left out, so that nothing wrong is said.
 """
 
 import ast
@@ -367,6 +368,10 @@ def _told_apart(
         ranks = [min(candidate.rank for candidate, _ in same) for _, same in functions]
         likely = [entry for entry, rank in zip(named, ranks, strict=True) if rank < 2] or named
         kinds = {entry.words.kind for entry in likely}
+        if ranks.count(0) == 1:  # what a person listed comes first, whatever else it could be
+            first = named[ranks.index(0)]
+            likely = [first, *(each for each in likely if each is not first)]
+            kinds = {first.words.kind}
         if len(likely) == 1 or (len(kinds) == 1 and len(likely) <= ALTERNATIVES):
             words = replace(
                 likely[0].words, alternatives=tuple(each.words.name for each in likely[1:])

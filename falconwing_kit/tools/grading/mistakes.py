@@ -1013,6 +1013,11 @@ def _statements(node: ast.stmt, around: _Around) -> Found:
             yield "step", f"the step that changes {_targets(target)} is missing", (
                 lambda n: ast.Pass()
             )  # fmt: skip
+        else:
+            yield "step", (
+                f"{_targets(target)} has no value where it is used: "
+                "the step that gives it is missing, or comes too late"
+            ), lambda n: ast.Pass()  # fmt: skip
         if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
             for i, each in enumerate(target.elts):
                 if isinstance(each, ast.Name):
@@ -1020,6 +1025,9 @@ def _statements(node: ast.stmt, around: _Around) -> Found:
     elif isinstance(node, ast.If):
         yield "step", f"what the case of {_about(node.test)} needs is missing", _without_branch
         if node.orelse:
+            yield "step", f"the choice by {_about(node.test)} is missing, with all its cases", (
+                lambda n: ast.Pass()
+            )  # fmt: skip
             yield "step", f"what is done unless {_about(node.test)} is missing", (
                 lambda n: _with(n, orelse=[])
             )  # fmt: skip
@@ -1031,6 +1039,7 @@ def _statements(node: ast.stmt, around: _Around) -> Found:
     elif isinstance(node, ast.Break | ast.Continue):
         yield "condition", "the loop goes on where it should end", lambda n: ast.Pass()
     if isinstance(node, ast.For):
+        yield "step", f"the loop over {_targets(node.target)} is missing", lambda n: ast.Pass()
         yield "state", f"the loop over {_targets(node.target)} ends after its first round", (
             lambda n: _with(n, body=[*n.body, ast.Break()])
         )  # fmt: skip

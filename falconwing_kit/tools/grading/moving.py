@@ -3,10 +3,16 @@
     display(moving_figure(figure, draw, 60, 0.1, "In words: ..."))
 
 GIF is what every notebook page shows, without a player, a kernel or JavaScript.
+
+    figure_with_sliders(draw, "In words: ...", (8.0, 5.0), mass_g=Slider("mass [g]", 50, 400, 150))
+
+The picture is an ordinary PNG, so it stays where nothing can be moved; sliders need ipywidgets.
 """
 
 import io
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -114,6 +120,93 @@ def _encode(images: Sequence[Any], seconds: float, colours: int) -> bytes:
         loop=0,
     )
     return buffer.getvalue()
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A number that a reader may move.
+
+    Attributes:
+        label: with its unit.
+        low, high: its ends.
+        start: at first, and for good where there are no sliders.
+        step: between neighbouring values.
+    """
+
+    label: str
+    low: float
+    high: float
+    start: float
+    step: float = 1.0
+
+
+def figure_with_sliders(
+    draw: Callable[..., object], words: str, size: tuple[float, float], **sliders: Slider
+) -> None:
+    """Show a figure, and above it a slider for each number that `draw` takes.
+
+    Without ipywidgets, and on a page that was rendered once, the figure at the start stays.
+
+    Args:
+        draw: draw(figure, **values) on an empty figure of matplotlib.
+        words: what is seen, for those who cannot see it.
+        size: of the figure [inch].
+        sliders: by the name of the number.
+    """
+    from IPython.display import display
+
+    values = {name: each.start for name, each in sliders.items()}
+    first = _drawn(draw, values, words, size)  # which may stop: then no slider stands alone
+    box, parts = _slider_box(sliders, words)
+    if box:
+        display(box, raw=True)
+    else:
+        said = ", ".join(f"{each.label} = {each.start:g}" for each in sliders.values())
+        print(f"to move {said}: install ipywidgets (pip install ipywidgets) and start again")
+    shown = display(first, display_id=True)
+
+    def moved(name: str, value: float) -> None:
+        values[name] = value
+        if shown is not None:  # None outside of a notebook
+            shown.update(_drawn(draw, values, words, size))
+
+    for name, slider in parts.items():
+        slider.observe(lambda change, name=name: moved(name, float(change["new"])), names="value")
+
+
+def _slider_box(
+    sliders: dict[str, Slider], words: str
+) -> tuple[dict[str, Any] | None, dict[str, Any]]:
+    """What a notebook shows of the sliders, and the sliders; (None, {}) without ipywidgets."""
+    with suppress(ImportError):
+        from ipywidgets import FloatSlider, Layout, VBox
+
+        parts = {
+            name: FloatSlider(
+                value=each.start, min=each.low, max=each.high, step=each.step,
+                description=each.label, continuous_update=False,
+                style={"description_width": "12em"}, layout=Layout(width="36em"),
+            )
+            for name, each in sliders.items()
+        }  # fmt: skip
+        bundle = dict(VBox(list(parts.values()))._repr_mimebundle_())
+        bundle["text/plain"] = f"Sliders, in a running notebook. {words}"
+        return bundle, parts
+    return None, {}
+
+
+def _drawn(
+    draw: Callable[..., object], values: dict[str, float], words: str, size: tuple[float, float]
+) -> "Image":
+    from IPython.display import Image
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    draw(figure, **values)
+    data = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(data)
+    return Image(data.getvalue(), format="png", alt=words)
 
 
 def plan_view(x: float, y: float, yaw: float, span: float = 0.7) -> Array:
