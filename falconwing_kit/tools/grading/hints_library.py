@@ -49,7 +49,7 @@ from falconwing_kit.tools.grading.sealed import LISTED, Words, seal
 
 FIRST_CALLS, CALLS = 6, 24  # calls whose right answers are stored: the first, and most telling ones
 SHOWN_BYTES = 9000  # of an exercise's stored right answers
-ROUNDS, SECONDS, MEMORY = 100_000, 2.0, 3 << 29  # limits of one mistake's run
+ROUNDS, CPU_SECONDS, MEMORY = 100_000, 2.0, 3 << 29  # limits of one mistake's run
 ALTERNATIVES = 3
 PROBES = 10
 _INSIDE = re.compile(r"# BEGIN SOLUTION\n(.*?)[ \t]*# END SOLUTION", re.DOTALL)
@@ -472,7 +472,10 @@ def _shaken(function: Function) -> Function:
 
 @contextmanager
 def _time_limit() -> Iterator[None]:
-    """Stop what takes longer than SECONDS, in a main thread with alarms."""
+    """Stop what takes more than CPU_SECONDS, in a main thread with alarms.
+
+    The processor's time, so that a busy machine makes the same library.
+    """
     usable = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     if not usable:
         yield
@@ -481,13 +484,13 @@ def _time_limit() -> Iterator[None]:
     def stop(*_: object) -> None:
         raise _TooLongError
 
-    before: Callable[..., Any] | int | None = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    before: Callable[..., Any] | int | None = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 @contextmanager
