@@ -3,7 +3,7 @@
     python -m pytest -m benchmark -s tests/benchmarks/bench_hints.py
 
 What is right and wrong: tests/labs/judged_hints.py. The second list holds mistakes of two tokens or
-more alone, and nobody looked at it while the hints were made better.
+more alone, and no hint was made for one of it.
 """
 
 import pytest
