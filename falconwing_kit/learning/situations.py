@@ -50,9 +50,20 @@ class Ranges:
     late: int = 3  # most frames that an image is late
     lost: float = 0.4  # most share of images that are lost
     black_s: float = 0.55  # longest time without a picture [s], in one flight of four
+    graded: bool = False  # whether half of the aircraft differ less, by a share drawn for each
+
+    def eased(self, share: float) -> "Ranges":
+        """The same with an aircraft, a wind and a camera angle that differ by a share of these."""
+        low, high = (LINK_DELAY_S + share * (end - LINK_DELAY_S) for end in self.delay)
+        return replace(
+            self, coefficients=share * self.coefficients, trim=share * self.trim,
+            delay=(low, high), long_delay=self.long_delay if share == 1.0 else (low, high),
+            mean_wind=share * self.mean_wind, gusts=share * self.gusts,
+            mount_angle=share * self.mount_angle,
+        )  # fmt: skip
 
 
-SPREAD_RANGES = Ranges()
+SPREAD_RANGES = Ranges(graded=True)
 # behind a leader an aircraft is steered harder, and loses it where it is flown late
 FOLLOW_RANGES = replace(
     SPREAD_RANGES, coefficients=0.15, trim=0.04, delay=(0.0, 0.12), long_delay=(0.12, 0.17),
@@ -101,6 +112,8 @@ def draw_situation(task: str, seed: int, ranges: Ranges, nominal_mount: Array) -
         InputError: no draw gave an aircraft that flies.
     """
     rng, shared = (np.random.default_rng(key) for key in ([seed, 18], [seed // SHARED, 17]))
+    if ranges.graded:
+        ranges = ranges.eased(min(2.0 * shared.uniform(), 1.0))
     known_model = _draw_model(shared, ranges)
     delay = float(shared.uniform(*(ranges.long_delay if shared.random() < 0.2 else ranges.delay)))
     gust = dict(zip(("gust_x", "gust_y", "gust_z"), rng.uniform(0, ranges.gusts, 3), strict=True))

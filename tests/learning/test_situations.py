@@ -11,6 +11,7 @@ from falconwing_kit.control.guidance import Hall
 from falconwing_kit.learning.situations import (
     KEPT,
     NOMINAL,
+    SHARED,
     SPREAD_RANGES,
     draw_delivery,
     draw_situation,
@@ -64,6 +65,27 @@ def test_draws_stay_in_their_ranges_and_fill_them():
     places = np.array([s.start.p_world for s in situations])
     assert Hall().margin(places).min() > 0.5
     assert len({s.model.values["cL_alpha"] for s in situations}) == 50
+
+
+def test_graded_ranges_ease_half_of_the_aircraft():
+    """Of a wind uniform in 0 to s W, s = 1 for half of them and uniform in 0 to 1 for the others,
+    a share of 1/4 + (1 - ln 2) / 4 = 0.327 is over W / 2; without grades it is half of them.
+    """
+    winds = []
+    for shared in range(400):
+        values = landing(SHARED * shared).known_model.values
+        winds.append(math.hypot(values["mean_wind_x"], values["mean_wind_y"]))
+    share = np.mean(np.array(winds) > SPREAD_RANGES.mean_wind / 2.0)
+    assert share == pytest.approx(0.327, abs=3.0 * math.sqrt(0.327 * 0.673 / 400))
+
+
+def test_eased_to_nothing_is_the_kits_aircraft_and_eased_by_one_is_unchanged():
+    """The aircraft, its air and its link; not the camera's place, which the pilot is told."""
+    easy = SPREAD_RANGES.eased(0.0)
+    names = ("coefficients", "trim", "delay", "long_delay", "mean_wind", "gusts", "mount_angle")
+    assert all(getattr(easy, name) == getattr(NOMINAL, name) for name in names)
+    assert easy.mount == SPREAD_RANGES.mount
+    assert SPREAD_RANGES.eased(1.0) == SPREAD_RANGES
 
 
 def test_a_seed_repeats_and_another_does_not():
