@@ -85,6 +85,12 @@ class Effect:
         return any((self.loads, self.loads_of, self.wind_field))
 
     @property
+    def is_kinematic(self) -> bool:
+        """Whether its equation is exact: air, time or the camera's place, of no assumed shape."""
+        moves = any((self.wind_field, self.input_map, self.measurement_map))
+        return moves and not self.shape
+
+    @property
     def has_onset(self) -> bool:
         """Whether it can set in during a flight, at a time of its own."""
         return not self.gradual and (self.changes_flow or self.command_map is not None)

@@ -177,12 +177,11 @@ def _sizes(
         return {}
     confidence = uncertainty(last, naming.windows, base.prior)
     effect = candidate.effect
-    is_exact = bool(effect.wind_field or effect.input_map or effect.measurement_map)
     sizes = {}
     for p in effect.parameters:
         value = last.model.values[p.name]
         low, high = confidence.interval(p.name, value)
-        if not is_exact and p.name not in effect.shape:
+        if not effect.is_kinematic and p.name not in effect.shape:
             half = float(np.hypot(high - value, 1.96 * FORMULA_DEVIATION * value))
             low, high = value - half, value + half
         sizes[p.name] = ParameterEstimate(value, low, high, p.unit, p.meaning)

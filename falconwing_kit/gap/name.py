@@ -434,7 +434,11 @@ def _find_further_effect(
 
 def _formula_error(base: NominalModel, found: EffectCandidate, other: Effect) -> float:
     """Evidence that an error in the formula of a found effect may lend to another one."""
-    was_completed = len(base.result.model.effects) > len(base.found.model.effects)
+    # What the nominal model lacked is a load, and says nothing about wind, time or the camera.
+    was_completed = (
+        len(base.result.model.effects) > len(base.found.model.effects)
+        and not found.effect.is_kinematic
+    )
     if set(other.acts_on) & set(found.effect.acts_on):
         share = COMPLETED_FORMULA_ERROR if was_completed else FORMULA_ERROR
     else:

@@ -2,6 +2,7 @@
 another name.
 """
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -201,6 +202,30 @@ def test_a_load_in_both_flights_is_not_outside(monkeypatch, change, verdict):
     monkeypatch.setattr(name_module, "_best_generic", strong)
     monkeypatch.setattr(name_module, "_evidence_of_change", lambda *_: change)
     assert name_effect(base, own_flight(None, 20.0, 47)).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("found", "other", "plain", "completed"),
+    [
+        ("flap", "extra_drag", 0.20, 0.30),  # both act along the flight path
+        ("flap", "aileron_loss", math.sqrt(0.001), 0.10),
+        ("wind", "control_delay", math.sqrt(0.001), math.sqrt(0.001)),
+        ("control_delay", "aileron_loss", 0.20, 0.20),
+        ("fan_jet", "aileron_loss", math.sqrt(0.001), 0.10),  # its profile is assumed
+    ],
+)
+def test_a_completed_base_makes_no_error_of_wind_or_time(found, other, plain, completed):
+    """Share of the residuals of a found effect that its formula may miss, squared, of chi2 1000:
+    more where the nominal model had to be completed, but for what is kinematics alone.
+    """
+    candidate = EffectCandidate(EFFECTS[found], 1000.0, 1000.0, {}, None)
+    for effects, share in (((), plain), (("a load",), completed)):
+        base = SimpleNamespace(
+            result=SimpleNamespace(model=SimpleNamespace(effects=effects)),
+            found=SimpleNamespace(model=SimpleNamespace(effects=())),
+        )
+        error = name_module._formula_error(base, candidate, EFFECTS[other])
+        assert error == pytest.approx(1000.0 * share**2)
 
 
 def test_no_full_fit_far_below_the_best(monkeypatch):
