@@ -176,9 +176,9 @@ def moving_attitude() -> Any:
     lines += [(pad, ORANGE, 2.0), (marker, GREEN, 2.0)]
     points = [_along(np.array(each, float), 60) for each, _, _ in lines]
 
-    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
-    outside: Any = figure.add_subplot(1, 2, 1, projection="3d")
-    inside: Any = figure.add_subplot(1, 2, 2)
+    figure = Figure(figsize=(8.4, 3.6))
+    outside: Any = figure.add_axes((0.0, 0.05, 0.46, 0.84), projection="3d")
+    inside: Any = figure.add_axes((0.53, 0.14, 0.45, 0.76))
     outside.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1), xticks=[], yticks=[], zticks=[])
     outside.view_init(elev=22, azim=-150)  # from behind the aircraft, on its left
     outside.set_xlabel("along the runway")

@@ -165,14 +165,14 @@ def moving_wind(wind: float = 1.5) -> Any:
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     ax: Any = figure.subplots()
     hall_axes(ax, "")
-    ax.set(xlim=(-21, 21), ylim=(-11, 14))
+    ax.set(xlim=(-21, 21), ylim=(-12, 17))
     rng = np.random.default_rng(4)
     dots = rng.uniform((-20.0, -10.0), (20.0, 10.0), (90, 2))
     air = ax.plot([], [], ".", color=GREY, markersize=3, label="the air")[0]
     ring = ax.plot([], [], ":", color=GREEN, lw=2, label="the circle through the air")[0]
     track = ax.plot([], [], color=BLUE, label="track over the ground")[0]
     outline = ax.fill([0], [0], color=ORANGE)[0]
-    ax.legend(loc="lower right", fontsize=8)
+    ax.legend(loc="upper right", fontsize=8)
     around = np.linspace(0.0, 2.0 * np.pi, 100)
 
     def place(t: Array) -> Array:

@@ -22,6 +22,8 @@
 # %%
 import matplotlib.pyplot as plt
 import numpy as np
+
+# %%
 from given import (
     BLUE,
     DOWN_THRUST,

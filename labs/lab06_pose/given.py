@@ -267,7 +267,8 @@ def moving_photos() -> Any:
     above.plot(*places[:, :2].T, ".", color="0.7", label="photos that show it")
     here = above.plot([], [], "o-", color=ORANGE, markevery=[0], label="this photo")[0]
     above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    above.legend(fontsize=7, loc="lower right")
+    above.set_ylim(-21.0, 9.0)
+    above.legend(fontsize=8, loc="lower center", ncols=3)
     square = seen.fill([0], [0], facecolor=BLUE, edgecolor="black")[0]
     seen.set(xlim=(0, 640), ylim=(480, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
 

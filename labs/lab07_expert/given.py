@@ -361,10 +361,15 @@ def draw_circuit(flight: dict[str, np.ndarray]) -> None:
     margin.plot(flight["t"], flight["margin"], color=BLUE, label="speed over stall speed")
     margin.axhline(1.0, color="black", linestyle=":", label="stall")
     margin.set(xlabel="time [s]", ylabel="stall margin [-]", ylim=(0.9, 1.7))
-    for column, (name, line) in enumerate(
-        (("throttle", "-"), ("aileron", "--"), ("elevator", "-."), ("rudder", ":"))
+    for column, (name, line, colour) in enumerate(
+        (
+            ("throttle", "-", GREEN),
+            ("aileron", "--", ORANGE),
+            ("elevator", "-.", BLUE),
+            ("rudder", ":", "black"),
+        )
     ):
-        sticks.plot(flight["t"], flight["sticks"][:, column], line, label=name)
+        sticks.plot(flight["t"], flight["sticks"][:, column], line, color=colour, label=name)
     sticks.set(xlabel="time [s]", ylabel="commands, share of full range", ylim=(-1.05, 1.35))
     for ax in (above, bank, margin, sticks):
         ax.legend(fontsize="small", loc="upper center", ncols=4)  # above all curves

@@ -181,7 +181,7 @@ def moving_tens(rate: float = 0.8) -> Any:
     landed = np.random.default_rng(11).random((60, 10)) < rate
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     ten, all_of_them = figure.subplots(2, 1, height_ratios=(1.0, 3.0))
-    ten.set(xlim=(0.3, 10.7), ylim=(-1.0, 1.0), yticks=[], xticks=range(1, 11))
+    ten.set(xlim=(0.3, 10.7), ylim=(-1.0, 1.0), yticks=[], xticks=range(1, 11), xlabel="landing")
     good = ten.plot([], [], "o", color=BLUE, markersize=14)[0]
     bad = ten.plot([], [], "x", color=ORANGE, markersize=14, markeredgewidth=3)[0]
     bars = all_of_them.bar(range(11), np.zeros(11), color=BLUE)

@@ -205,8 +205,10 @@ def moving_flights(folder: Path, seconds: float = 10.0) -> Any:
     flights = [read_flight_table(folder / name) for name in ("calm.csv", "flight.csv")]
     figure = Figure(figsize=(8.4, 3.6), layout="constrained")
     above, side = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
-    above.plot([-22.5, 17.5, 17.5, -22.5, -22.5], [-12, -12, 8, 8, -12], color="black", lw=1)
+    hall = [-22.5, 17.5, 17.5, -22.5, -22.5], [-12, -12, 8, 8, -12]
+    above.plot(*hall, ":", color="0.6", lw=1, label="hall, for its size")  # they fly beyond it
     above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-23.5, 18.5))
+    above.set_ylim(-13.5, 11.5)
     side.set(xlabel="time [s]", ylabel="height [m]", xlim=(0, seconds), ylim=(0, 3.5))
     drawn = []
     for name, colour, line in (("baseline", GREY, "--"), ("under test", BLUE, "-")):

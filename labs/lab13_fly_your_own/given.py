@@ -5,7 +5,6 @@ matplotlib are imported where they are needed.
 """
 
 import importlib
-import io
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -479,27 +478,9 @@ def _sensitivities(
 
 def film(frames: Array, seconds: float = 0.1) -> bytes:
     """An animated GIF of pictures (n, H, W, 3) uint8, at most 1 MB: as many colours as fit."""
-    from PIL import Image
+    from falconwing_kit.tools.grading import moving_pictures
 
-    pictures = [Image.fromarray(np.asarray(frame)) for frame in frames]
-    for colours in (64, 32, 16, 8):
-        sheet = Image.new("RGB", (WIDTH, 4 * HEIGHT))
-        for row, number in enumerate(np.linspace(0, len(pictures) - 1, 4).astype(int)):
-            sheet.paste(pictures[number], (0, row * HEIGHT))
-        palette = sheet.quantize(colours)
-        few = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures]
-        buffer = io.BytesIO()
-        few[0].save(
-            buffer,
-            "GIF",
-            save_all=True,
-            append_images=few[1:],
-            duration=round(1000.0 * seconds),
-            loop=0,
-        )
-        if buffer.tell() <= 1_000_000:
-            break
-    return buffer.getvalue()
+    return bytes(moving_pictures(frames, seconds, "a film").data)
 
 
 def draw_flight(flown: Mapping[str, Any], pilot: Pilot, board: Board) -> None:
@@ -521,10 +502,16 @@ def draw_flight(flown: Mapping[str, Any], pilot: Pilot, board: Board) -> None:
     track.fill([PAD[0], PAD[1], PAD[1], PAD[0]], [PAD[2], PAD[2], PAD[3], PAD[3]], color="#9fc5e8")
     track.plot(states[:, 0], states[:, 1], color=BLUE, label="flown")
     for k in range(0, len(states), 40):
-        track.annotate(f"{t[k]:.0f} s, {states[k, 2]:.1f} m", states[k, :2], fontsize=7)
+        words, beside = f"{t[k]:.0f} s, {states[k, 2]:.1f} m", (4, 5)
+        track.plot(*states[k, :2], ".", color=BLUE)
+        side = "right" if states[k, 0] > 8.0 else "left"
+        track.annotate(
+            words, states[k, :2], beside, textcoords="offset points", fontsize=8, ha=side
+        )
     track.plot(*states[-1, :2], "o", color=ORANGE, label="end")
     track.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="SIMULATED, from above")
-    track.legend(fontsize=8)
+    track.set(ylim=(-13.0, 13.0))
+    track.legend(fontsize=8, loc="upper right", ncols=2)
     own, policy = np.degrees(np.array(pilot.banks)).T
     bank.plot(t[1 : len(own) + 1], own, "--", color=ORANGE, label="expert's bank")
     bank.plot(t[1 : len(own) + 1], policy, color=BLUE, label="policy's bank, from the picture")
@@ -542,9 +529,11 @@ def draw_gains(found: Mapping[str, Any]) -> None:
     gains = found["gains"]
     names = sorted(gains, key=lambda name: gains[name])
     ax: Any = plt.subplots(figsize=(7.0, 2.4), layout="constrained")[1]
-    ax.barh(names, [gains[name] for name in names], color=BLUE)
+    bars = ax.barh(names, [gains[name] for name in names], color=BLUE)
+    ax.bar_label(bars, fmt="%.1f", padding=3, fontsize=8)
     ax.axvline(found["threshold"], color=ORANGE, ls="--", label="threshold")
     ax.set_xscale("symlog", linthresh=10.0)
+    ax.margins(x=0.12)
     ax.set(xlabel="evidence: chi2 gained less its price [-]", title="What was hidden?")
     ax.legend(fontsize=8, loc="lower right")
 

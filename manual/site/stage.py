@@ -206,7 +206,7 @@ class Stage:
                 cell["source"] = self.rewrite(text, source, f"labs/{name}.ipynb")
             elif "exercise" not in cell["metadata"]:
                 cell["outputs"] = known.get(text, [])
-                cell["metadata"]["mystnb"] = {"image": {"alt": drawn_by(cell["metadata"])}}
+                cell["metadata"]["mystnb"] = {"image": image_of(cell)}
         notebook["cells"].insert(1, markdown_cell(self.lab_head(folder, bool(known))))
         return json.dumps(notebook)
 
@@ -254,6 +254,15 @@ def outside_fences(text: str, change: Callable[[str], str]) -> str:
 def markdown_cell(text: str) -> dict[str, Any]:
     """A cell of a notebook."""
     return {"cell_type": "markdown", "id": "site-head", "metadata": {}, "source": text}
+
+
+def image_of(cell: dict[str, Any]) -> dict[str, str]:
+    """Words and width of a cell's picture: a film has its own."""
+    for output in cell["outputs"]:
+        for said in output.get("metadata", {}).values():
+            width = {"width": f"{said['width']}px"} if "width" in said else {}
+            return {"alt": said.get("alt") or drawn_by(cell["metadata"]), **width}
+    return {"alt": drawn_by(cell["metadata"])}
 
 
 def drawn_by(metadata: dict[str, Any]) -> str:

@@ -16,7 +16,7 @@ from falconwing_kit.tools.grading.hints import (
     parse_hints,
     raised,
 )
-from falconwing_kit.tools.grading.hints_library import hints_text
+from falconwing_kit.tools.grading.hints_library import hints_text, hints_texts
 from falconwing_kit.tools.grading.public_checks import (
     check,
     check_notebook,
@@ -109,6 +109,12 @@ def test_stored_hints_are_what_the_lists_give():
     """Lab 1's file is written anew; its numbers agree (mend: `falconwing labs hints`)."""
     stored = json.loads((LABS["lab01"] / "hints.json").read_text("utf-8"))
     assert json.loads(hints_text(LABS["lab01"])) == stored
+
+
+def test_processes_make_the_same_hints_as_one():
+    """Lab 1 has numbers of the course in two exercises; the order of completion does not matter."""
+    one, two = (hints_texts([LABS["lab01"]], "a" * 64, workers=n)[0] for n in (1, 2))
+    assert one == two and json.loads(one)["exercises"].keys() == load_hints(LABS["lab01"]).keys()
 
 
 def test_released_hints_are_of_the_course_and_hold_no_code(tmp_path):

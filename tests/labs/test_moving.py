@@ -2,6 +2,7 @@
 
 import io
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +19,9 @@ from falconwing_kit.tools.grading import (
     plan_view,
     side_view,
 )
+from falconwing_kit.tools.grading.find import load_module
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_film_has_every_picture_for_its_time_and_never_ends():
@@ -55,6 +59,30 @@ def test_a_thin_line_keeps_its_colour_beside_a_photograph():
     film.seek(2)
     pixels = np.asarray(film.convert("RGB")).reshape(-1, 3).astype(int)
     assert (np.abs(pixels - [0x00, 0x9E, 0x73]).max(axis=1) < 24).sum() > 50
+
+
+def test_lamps_of_a_photograph_do_not_turn_violet():
+    """Lab 13's first flight: no line is in it, so none of the 64 colours is lost to one.
+
+    With all colours of lines in the palette 1536 pixels of lamps were violet, 421 in the source,
+    and colours were 7.1 levels of 255 off; half of both would be seen by nobody.
+    """
+    given = load_module(ROOT / "labs" / "lab13_fly_your_own", "given")
+    flights = given.load_flights()
+    source = flights["images"][: flights["starts"][1]].astype(int)
+    film = Image.open(io.BytesIO(moving.gif(source.astype(np.uint8), 0.1)))
+    shown = np.array([_frame(film, number) for number in range(len(source))])
+    assert _violet(shown).sum() < 1000 and np.abs(shown - source).max(axis=3).mean() < 5.0
+
+
+def _frame(film, number):
+    film.seek(number)
+    return np.asarray(film.convert("RGB")).astype(int)
+
+
+def _violet(pixels):
+    red, green, blue = np.moveaxis(pixels, -1, 0)
+    return (red - green > 30) & (blue - green > 15)
 
 
 def test_a_film_has_words_and_its_width():

@@ -193,6 +193,27 @@ def test_wrong_settings_are_refused(tmp_path, text, words):
         stage.Settings.load(tmp_path / "settings.toml")
 
 
+@pytest.mark.parametrize("name", LABS)
+def test_the_cell_of_a_film_is_the_same_for_students_and_in_the_solution(name):
+    """A page finds an output by its cell's text; the first cell differs: no film may be there."""
+    (folder,) = (ROOT / "labs").glob(f"{name}_*")
+    texts = []
+    for path in (folder / f"{name}.ipynb", folder / "solution" / f"{name}.ipynb"):
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+        texts.append([text for text in code if re.search(r"^(given\.)?moving_\w+\(", text, re.M)])
+    assert len(texts[0]) == 1 and texts[0] == texts[1]
+
+
+def test_a_film_on_a_page_has_its_own_words_and_width():
+    """As the notebook's output says; a figure of matplotlib has none, so it is named."""
+    film = {"metadata": {"image/gif": {"alt": "a turn in the wind", "width": 480}}}
+    cell = {"metadata": {"figure": "turn"}, "outputs": [{"output_type": "stream"}, film]}
+    assert stage.image_of(cell) == {"alt": "a turn in the wind", "width": "480px"}
+    cell["outputs"] = [{"metadata": {}}]
+    assert stage.image_of(cell)["alt"].endswith("figure turn")
+
+
 def test_solutions_stay_hidden_and_outputs_come_from_the_cache(tmp_path):
     """A cache written by hand for every cell of lab 1: each gets its output, but for exercises."""
     source = ROOT / "labs" / "lab01_sizing" / "lab01.ipynb"

@@ -80,11 +80,10 @@ class Hints:
         """
         from falconwing_kit.core.files import atomic_write
         from falconwing_kit.tools.grading.hints import FILE
-        from falconwing_kit.tools.grading.hints_library import hints_text
+        from falconwing_kit.tools.grading.hints_library import hints_texts
 
-        sizes = {}
-        for folder in select_labs(self.names, self.labs):
-            text = hints_text(folder)
+        folders, sizes = select_labs(self.names, self.labs), {}
+        for folder, text in zip(folders, hints_texts(folders), strict=True):
             sizes[folder.name] = len(text.encode())
             if text:
                 with atomic_write(folder / FILE, text=True) as handle:

@@ -22,6 +22,7 @@ import numpy as np
 from falconwing_kit.tools.grading.lab import Function
 from falconwing_kit.tools.grading.marks import (
     Mark,
+    is_plain,
     mark_of,
     matches_text,
     raised_mark,
@@ -111,6 +112,19 @@ def errors_text(calls: Sequence[tuple[str, Answer]]) -> str:
     return f"!{zlib.crc32('|'.join(texts).encode()):08x}"
 
 
+def copied(value: Any) -> Any:
+    """A deep copy, quick for what most functions take."""
+    if value is None or type(value) in (float, int, bool, str, np.float64):
+        return value
+    if type(value) is np.ndarray and not value.dtype.hasobject:
+        return value.copy(order="K")
+    if type(value) in (tuple, list):
+        return type(value)(map(copied, value))
+    if type(value) is dict:
+        return {key: copied(each) for key, each in value.items()}
+    return copy.deepcopy(value)
+
+
 class Nearby:
     """Arguments near those of a function's calls, on which a wrong function is asked once more.
 
@@ -125,13 +139,13 @@ class Nearby:
         """Keep a copy of a call's arguments, of the first NEARBY calls."""
         if len(self.taken) < NEARBY:
             with suppress(Exception):  # what cannot be copied is not asked again
-                self.taken.append(copy.deepcopy(arguments))
+                self.taken.append(copied(arguments))
 
     def __iter__(self) -> Iterator[tuple[Any, ...]]:
         for i, arguments in enumerate(self.taken):
             for scale in NEAR_SCALES:
                 shift = _Shift(scale, i)
-                yield tuple(map(shift.of, copy.deepcopy(arguments)))
+                yield tuple(map(shift.of, copied(arguments)))
 
 
 @dataclass
@@ -176,28 +190,34 @@ class _Shift:
 
 def call_key(arguments: tuple[Any, ...]) -> str:
     """Short name of a call's arguments: their structure and numbers to six digits."""
-    return hashlib.sha256("|".join(_texts(arguments)).encode()).hexdigest()[:12]
+    found: list[str] = []
+    _add_texts(found, arguments)
+    return hashlib.sha256("|".join(found).encode()).hexdigest()[:12]
 
 
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, Mapping):
+def _add_texts(found: list[str], value: Any) -> None:
+    if is_plain(value):
+        found += ("()", f"{value:.6g}")
+    elif isinstance(value, Mapping):
         for name in value:
-            yield str(name)
-            yield from _texts(value[name])
+            found.append(str(name))
+            _add_texts(found, value[name])
     elif isinstance(value, tuple | list):
-        yield f"{len(value)}"
+        found.append(f"{len(value)}")
         for each in value:
-            yield from _texts(each)
+            _add_texts(found, each)
     elif isinstance(value, bool | int | float | np.ndarray | np.generic):
         array = np.asarray(value)
-        yield f"{array.shape}"
-        yield from (f"{x:.6g}" if array.dtype.kind in "iuf" else str(x) for x in array.ravel())
+        found.append(f"{array.shape}")
+        found += (f"{x:.6g}" if array.dtype.kind in "iuf" else str(x) for x in array.ravel())
     else:
-        yield value if isinstance(value, str) else type(value).__name__
+        found.append(value if isinstance(value, str) else type(value).__name__)
 
 
 def numbers_of(answer: Any, name: str = "") -> Numbers:
     """An answer as a flat record: place, such as "[1][0, 2]", to number, text or truth value."""
+    if is_plain(answer):
+        return {f"{name}shape": "()", name: float(f"{answer:.7g}")}
     if isinstance(answer, Mapping):
         return _joined((numbers_of(answer[key], f"{name}[{key!r}]")) for key in answer)
     if isinstance(answer, tuple | list) and not _is_row(answer):

@@ -11,9 +11,11 @@ import ast
 import copy
 import importlib.util
 import json
+import os
 import re
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -29,6 +31,7 @@ from falconwing_kit.tools.grading.hints import (
     Nearby,
     Numbers,
     Recorder,
+    copied,
     errors_text,
     same,
     same_numbers,
@@ -46,6 +49,8 @@ from falconwing_kit.tools.grading.marks import (
 from falconwing_kit.tools.grading.mistakes import mistakes_of
 from falconwing_kit.tools.grading.notebooks import SourceCell, read_cells
 from falconwing_kit.tools.grading.sealed import LISTED, Words, seal
+from falconwing_kit.tools.jobs.pool import WorkerLostError
+from falconwing_kit.tools.jobs.run import parallel_map
 
 FIRST_CALLS, CALLS = 6, 24  # calls whose right answers are stored: the first, and most telling ones
 SHOWN_BYTES = 9000  # of an exercise's stored right answers
@@ -134,7 +139,7 @@ class ExerciseHere:
 
         def called(*arguments: Any) -> Any:
             rounds[0] = 0
-            arguments = copy.deepcopy(arguments)
+            arguments = copied(arguments)
             if self.exercise.through:
                 return getattr(self.given, self.exercise.through)(written, *arguments)
             return written(*arguments)
@@ -175,29 +180,77 @@ def listed_mistakes(folder: Path, lab: Lab) -> Mapping[str, tuple[tuple[str, str
 
 
 def hints_text(folder: Path, salt: str = "", *, listed: bool = True) -> str:
-    """Content of a lab's `hints.json` for a course; "" where the lab lists no mistakes.
+    """Content of one lab's `hints.json`, see `hints_texts`; computed in this process."""
+    return hints_texts([folder], salt, listed=listed, workers=1)[0]
+
+
+def hints_texts(
+    folders: Sequence[Path], salt: str = "", *, listed: bool = True, workers: int = 0
+) -> list[str]:
+    """Content of each lab's `hints.json` for a course; "" where a lab lists no mistakes.
 
     Args:
-        folder: the lab's, in a checkout, with `lab.py`.
+        folders: the labs', in a checkout, with `lab.py`.
         salt: the course's key; empty for the open course.
         listed: with the hand-written mistakes; without them only mutations are in it.
+        workers: processes; 0 for as many as there are processors.
     """
-    constants = course_constants(load_checks(folder), salt)
-    lab: Lab = load_module(folder, "checks", constants).LAB
-    by_hand = listed_mistakes(folder, lab)
-    if not by_hand:
-        return ""
-    given = load_module(folder, "given", constants)
-    shipped = _shipped(folder) if salt else {}
-    exercises = {}
-    with importable_given(given), np.errstate(all="ignore"), _memory_limit():
-        for each in lab.exercises:
-            here = ExerciseHere(folder, lab, each, given)
-            exercises[each.name] = exercise_record(
-                here, by_hand.get(each.name, ()) if listed else (), shipped.get(each.name, {})
-            )
-    record = {"constants": constants, "exercises": exercises}
-    return json.dumps(record, ensure_ascii=False, separators=(",", ":")) + "\n"
+    jobs: list[_Job] = []
+    for folder in folders:
+        if listed_mistakes(folder, load_checks(folder)):
+            jobs += [
+                _Job(folder, each.name, salt, listed) for each in load_checks(folder).exercises
+            ]
+    sizes = {job: len(str(_shipped(job.folder).get(job.exercise, ""))) for job in jobs}
+    jobs.sort(key=lambda job: -sizes[job])  # long ones first, so that no process is left alone
+    workers = workers or workers_for(jobs)
+    records: dict[tuple[Path, str], dict[str, Any]] = {}
+    for job, record in parallel_map(_record_of, jobs, workers):
+        if isinstance(record, WorkerLostError):
+            raise record
+        records[job.folder, job.exercise] = record
+    texts = []
+    for folder in folders:
+        lab = load_checks(folder)
+        names = [each.name for each in lab.exercises if (folder, each.name) in records]
+        content = {
+            "constants": course_constants(lab, salt),
+            "exercises": {name: records[folder, name] for name in names},
+        }
+        text = json.dumps(content, ensure_ascii=False, separators=(",", ":")) + "\n"
+        texts.append(text if names else "")
+    return texts
+
+
+def workers_for(jobs: Sequence[object]) -> int:
+    """As many processes as there are processors and jobs; few jobs are done in this one."""
+    return min(os.cpu_count() or 1, len(jobs) // 2)
+
+
+@dataclass(frozen=True)
+class _Job:
+    folder: Path
+    exercise: str
+    salt: str
+    listed: bool
+
+
+def _record_of(job: _Job) -> dict[str, Any]:
+    """What `hints.json` holds of one exercise, from its lab's folder."""
+    constants = course_constants(load_checks(job.folder), job.salt)
+    lab: Lab = load_module(job.folder, "checks", constants).LAB
+    by_hand = listed_mistakes(job.folder, lab).get(job.exercise, ()) if job.listed else ()
+    shipped = _shipped(job.folder).get(job.exercise, {}) if job.salt else {}
+    given = load_module(job.folder, "given", constants)
+    with (
+        importable_given(given),
+        np.errstate(all="ignore"),
+        warnings.catch_warnings(),  # mistakes divide by zero, and more
+        _memory_limit(),
+    ):
+        warnings.simplefilter("ignore")
+        here = ExerciseHere(job.folder, lab, lab.exercise(job.exercise), given)
+        return exercise_record(here, by_hand, shipped)
 
 
 def _shipped(folder: Path) -> Mapping[str, Any]:
@@ -220,8 +273,8 @@ def exercise_record(
             the same, the course's numbers do not enter and the record is taken as it is.
     """
     right = here.function(ast.unparse(here.definition))
-    expected, trace = _run(here.exercise, right)
-    text = trace_text(trace, _run(here.exercise, _shaken(right))[1])
+    expected, trace, shakes = _run(here.exercise, right)
+    text = trace_text(trace, _run(here.exercise, _shaken(right))[1] if shakes else trace)
     if shipped and shipped.get("trace") == text and _is_of_any_course(here, expected, shipped):
         return dict(shipped)
     entries: list[tuple[_Candidate, Entry]] = []
@@ -264,11 +317,13 @@ def candidates(here: ExerciseHere, by_hand: Sequence[tuple[str, str, str]]) -> l
     return found
 
 
-def _run(exercise: Exercise, function: Function) -> tuple[Recorder, tuple[Mark, ...]]:
-    """The calls that `run_checks` makes, and their marks."""
-    recorder, nearby, failed = Recorder(function), Nearby(), False
+def _run(exercise: Exercise, function: Function) -> tuple[Recorder, tuple[Mark, ...], bool]:
+    """The calls that `run_checks` makes, their marks, and whether `_shaken` would change any."""
+    recorder, nearby, failed, shakes = Recorder(function), Nearby(), False, False
 
     def asked(*arguments: Any) -> Any:
+        nonlocal shakes
+        shakes = shakes or any(map(_can_shake, arguments))
         nearby.take(arguments)
         return recorder(*arguments)
 
@@ -280,7 +335,7 @@ def _run(exercise: Exercise, function: Function) -> tuple[Recorder, tuple[Mark, 
     for arguments in nearby if failed and exercise.nearby else ():
         with suppress(Exception):
             recorder(*arguments)
-    return recorder, trace_of([answer.mark for _, answer in recorder.calls])
+    return recorder, trace_of([answer.mark for _, answer in recorder.calls]), shakes
 
 
 def _entry(
@@ -289,7 +344,7 @@ def _entry(
     """The entry and the key of the first wrong call; None where it says nothing."""
     try:
         with _time_limit():
-            got, wrong = _run(here.exercise, candidate.function)
+            got, wrong, shakes = _run(here.exercise, candidate.function)
             if len(wrong) == len(trace) and all(
                 a.agrees(b) for a, b in zip(wrong, trace, strict=True)
             ):
@@ -299,7 +354,7 @@ def _entry(
                 return None
             if all(errors):
                 return _raising(candidate, got)
-            _, again = _run(here.exercise, _shaken(candidate.function))
+            again = _run(here.exercise, _shaken(candidate.function))[1] if shakes else wrong
     except _TooLongError:
         return None
     text = trace_text(wrong, again)
@@ -450,6 +505,10 @@ def _telling(expected: Recorder, first_wrong: Mapping[str, int]) -> dict[str, Nu
     return {key: found[key] for key in keys if key in found}
 
 
+def _can_shake(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype == np.float64
+
+
 def _shaken(function: Function) -> Function:
     """The function on arrays that differ by rounding, at 1e-12.
 
@@ -460,9 +519,7 @@ def _shaken(function: Function) -> Function:
 
     def called(*arguments: Any) -> Any:
         near = [
-            value * (1.0 + 1e-12 * rng.standard_normal(value.shape))
-            if isinstance(value, np.ndarray) and value.dtype == np.float64
-            else value
+            value * (1.0 + 1e-12 * rng.standard_normal(value.shape)) if _can_shake(value) else value
             for value in arguments
         ]
         return function(*near)

@@ -5,10 +5,12 @@ enter as asinh(v / SMALL), weighted by place, in one sum. Shapes, texts, truth v
 of NaN and infinity enter as a checksum.
 """
 
+import math
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,8 @@ SMALL = 1e-5  # below it an absolute difference counts, above it a relative one
 CLOSE, CLOSE_SHARE = 2e-4, 1e-6  # two sums agree within CLOSE + CLOSE_SHARE * spread
 LAST_PART = 7
 UNSTABLE = "*"
+PLAIN = (float, int, np.float64)  # types of single numbers, which need no array: most answers
+WHOLE = 1 << 63  # a whole number beyond it is none of NumPy's
 
 
 @dataclass(frozen=True)
@@ -39,21 +43,34 @@ class Mark:
         return self.form == other.form and abs(self.total - other.total) <= limit
 
 
+def is_plain(value: Any) -> bool:
+    """Whether a value is a single number of an ordinary type and size."""
+    return type(value) in PLAIN and (type(value) is not int or -WHOLE < value < WHOLE)
+
+
+@lru_cache(maxsize=4096)
 def weights(count: int, first: int = 0) -> Any:
-    """Fixed weights between 0.5 and 1.5, the same on every platform: (count,)."""
+    """Fixed weights between 0.5 and 1.5, the same on every platform: (count,), read only."""
     place = np.arange(first + 1, first + count + 1, dtype=np.uint64)
     mixed = (place * np.uint64(2654435761)) % np.uint64(2**32)
     mixed = ((mixed ^ (mixed >> np.uint64(15))) * np.uint64(2246822519)) % np.uint64(2**32)
-    return mixed.astype(float) / 2.0**32 + 0.5
+    found = mixed.astype(float) / 2.0**32 + 0.5
+    found.setflags(write=False)
+    return found
 
 
 def mark_of(answer: Any) -> Mark:
     """The mark of an answer: numbers, arrays, texts, and tuples, lists and dicts of them."""
     texts: list[str] = []
     arrays: list[Any] = []
-    for piece in _pieces(answer):
+    pieces: list[Any] = []
+    _add_pieces(pieces, answer)
+    for piece in pieces:
         if isinstance(piece, str):
             texts.append(piece)
+        elif isinstance(piece, float):
+            texts.append("()")
+            arrays.append((piece,))
         else:
             texts.append(_form(piece))
             arrays.append(np.where(np.isfinite(piece), piece, 0.0).ravel())
@@ -68,20 +85,22 @@ def raised_mark(name: str) -> Mark:
     return Mark(zlib.crc32(f"raised {name}".encode()))
 
 
-def _pieces(value: Any) -> Iterator[Any]:
-    """Texts and float arrays, in order."""
-    if isinstance(value, Mapping):
+def _add_pieces(found: list[Any], value: Any) -> None:
+    """Texts, finite numbers and float arrays, in order."""
+    if is_plain(value) and math.isfinite(value):
+        found.append(float(value))
+    elif isinstance(value, Mapping):
         for key in sorted(value, key=str):
-            yield f"{key}:"
-            yield from _pieces(value[key])
+            found.append(f"{key}:")
+            _add_pieces(found, value[key])
     elif isinstance(value, tuple | list):
-        yield f"({len(value)}"
+        found.append(f"({len(value)}")
         for each in value:
-            yield from _pieces(each)
+            _add_pieces(found, each)
     elif isinstance(value, str | bool | np.bool_) or value is None:
-        yield str(value)
+        found.append(str(value))
     else:
-        yield _array(value)
+        found.append(_array(value))
 
 
 def _array(value: Any) -> Any:

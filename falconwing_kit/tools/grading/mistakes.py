@@ -13,6 +13,7 @@ A mistake's words name the place by what the line computes, never by its code.
 
 import ast
 import copy
+import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -122,12 +123,13 @@ def mistakes_of(function: ast.FunctionDef) -> list[Mistake]:
     """
     function = _bare(function)
     nodes = list(ast.walk(function))
+    stored = pickle.dumps(function)  # loading is a quicker copy
     around = _Around(function)
     found: dict[str, Mistake] = {}
     seen, names = {ast.unparse(function)}, set[str]()
     for numbers, place in _positions(nodes, around):
         for kind, what, edit in _edits(nodes[numbers[0]], around):
-            source = _edited(function, numbers, edit)
+            source = _edited(stored, numbers, edit)
             if not source or source in seen:
                 continue
             seen.add(source)
@@ -163,9 +165,9 @@ def _bare(function: ast.FunctionDef) -> ast.FunctionDef:
     return function
 
 
-def _edited(function: ast.FunctionDef, numbers: list[int], edit: Edit) -> str:
-    """Source of the function with the nodes replaced; "" where the edit does not fit."""
-    tree = copy.deepcopy(function)
+def _edited(stored: bytes, numbers: list[int], edit: Edit) -> str:
+    """Source of the pickled function with the nodes replaced; "" where the edit does not fit."""
+    tree: ast.FunctionDef = pickle.loads(stored)
     nodes = list(ast.walk(tree))
     for number in numbers:
         new = edit(nodes[number])

@@ -102,13 +102,16 @@ def _encode(images: Sequence[Any], seconds: float, colours: int) -> bytes:
 
     width, height = images[0].size
     some = np.unique(np.linspace(0, len(images) - 1, 12).astype(int))  # share one palette
-    strip = max(height // 4, 1)  # of the colours that thin lines have: no line loses its own
-    sheet = Image.new("RGB", (width, height * len(some) + strip * len(LINES)))
+    shown = Image.new("RGB", (width, height * len(some)))
     for row, number in enumerate(some):
-        sheet.paste(images[number], (0, row * height))
-    for row, colour in enumerate(LINES):
-        sheet.paste(Image.new("RGB", (width, strip), colour), (0, height * len(some) + row * strip))
-    palette = sheet.quantize(colours)
+        shown.paste(images[number], (0, row * height))
+    lines = _lines_in(np.asarray(shown))
+    strip = max(height // 4, 1)  # of the colours that thin lines have: no line loses its own
+    sheet = Image.new("RGB", (width, shown.height + strip * len(lines)))
+    sheet.paste(shown, (0, 0))
+    for row, colour in enumerate(lines):
+        sheet.paste(Image.new("RGB", (width, strip), colour), (0, shown.height + row * strip))
+    palette = sheet.quantize(colours, kmeans=2)
     few = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in images]
     buffer = io.BytesIO()
     few[0].save(
@@ -120,6 +123,16 @@ def _encode(images: Sequence[Any], seconds: float, colours: int) -> bytes:
         loop=0,
     )
     return buffer.getvalue()
+
+
+def _lines_in(pixels: Any) -> list[str]:
+    """Those of LINES that occur; any other would only tint a photograph."""
+    found = []
+    for colour in LINES:
+        rgb = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+        if (np.abs(pixels.astype(np.int16) - rgb).max(axis=2) < 6).sum() >= 8:
+            found.append(colour)
+    return found
 
 
 @dataclass(frozen=True)

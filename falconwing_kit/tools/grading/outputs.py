@@ -67,6 +67,7 @@ def _kept(output: Any) -> list[dict[str, Any]]:
         return [dict(output)] if output.name == "stdout" else []
     for kind in _SHOWN:
         if kind in output.get("data", {}):
-            data = {kind: output.data[kind]}
-            return [{"output_type": "display_data", "data": data, "metadata": {}}]
+            data, said = {kind: output.data[kind]}, output.get("metadata", {}).get(kind, {})
+            metadata = {kind: dict(said)} if said else {}  # words and width of a film
+            return [{"output_type": "display_data", "data": data, "metadata": metadata}]
     return []

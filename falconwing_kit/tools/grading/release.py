@@ -17,12 +17,14 @@ from falconwing_kit.core.files import atomic_write
 from falconwing_kit.tools.grading.collect import COURSE_KEY
 from falconwing_kit.tools.grading.find import load_checks, load_module, notebook_path
 from falconwing_kit.tools.grading.hints import FILE as HINTS
-from falconwing_kit.tools.grading.hints_library import hints_text
+from falconwing_kit.tools.grading.hints_library import hints_texts, workers_for
 from falconwing_kit.tools.grading.lab import Course, course_constants
 from falconwing_kit.tools.grading.notebooks import GOAL, build
 from falconwing_kit.tools.grading.quiz import FORM, form_text, read_quiz
 from falconwing_kit.tools.grading.records import safe_file_name
 from falconwing_kit.tools.grading.salt import MIN_SALT, course_mark
+from falconwing_kit.tools.jobs.pool import WorkerLostError
+from falconwing_kit.tools.jobs.run import parallel_map
 
 FOLDER = "data"  # of a lab, copied to students
 INSTRUCTORS = "\n## For instructors"  # the route ends here for students
@@ -67,8 +69,9 @@ def release(
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     try:
-        for folder in folders:
-            _release_lab(folder, part / folder.name, salt)
+        hints = hints_texts(folders, salt) if salt else [_shipped_hints(each) for each in folders]
+        for folder, text in zip(folders, hints, strict=True):
+            _release_lab(folder, part / folder.name, salt, text)
             _release_handouts(folder, part / "handouts", salt, students)
         _write(part / "README.md", route_for_students(folders[0].parent / "README.md"))
         if out.is_dir():
@@ -87,7 +90,12 @@ def route_for_students(readme: Path) -> str:
     return text.split(INSTRUCTORS)[0].rstrip() + "\n"
 
 
-def _release_lab(folder: Path, target: Path, salt: str) -> None:
+def _shipped_hints(folder: Path) -> str:
+    path = folder / HINTS
+    return path.read_text(encoding="utf-8") if path.is_file() else ""
+
+
+def _release_lab(folder: Path, target: Path, salt: str, hints: str) -> None:
     """Notebook, files, data and constants of one lab."""
     target.mkdir(parents=True)
     notebook = json.loads(build(folder, salt)[notebook_path(folder)])
@@ -109,11 +117,6 @@ def _release_lab(folder: Path, target: Path, salt: str) -> None:
     questions = read_quiz(folder, salt, course_constants(load_checks(folder), salt))
     if questions:
         _write(target / FORM, form_text(questions))
-    shipped = folder / HINTS
-    if salt:
-        hints = hints_text(folder, salt)
-    else:
-        hints = shipped.read_text(encoding="utf-8") if shipped.is_file() else ""
     if hints:
         _write(target / HINTS, hints)
 
@@ -159,7 +162,8 @@ def release_lab(folder: Path, target: Path, salt: str = "") -> None:
         target: a new folder.
         salt: the course's key; empty for the open course.
     """
-    _release_lab(folder, target, salt)
+    hints = hints_texts([folder], salt)[0] if salt else _shipped_hints(folder)
+    _release_lab(folder, target, salt, hints)
 
 
 def _release_handouts(folder: Path, target: Path, salt: str, students: Sequence[str]) -> None:
@@ -167,13 +171,22 @@ def _release_handouts(folder: Path, target: Path, salt: str, students: Sequence[
     if not students:
         return
     constants = course_constants(load_checks(folder), salt)
-    handout = getattr(load_module(folder, "hidden", constants), "handout", None)
-    if handout is None:
+    if not hasattr(load_module(folder, "hidden", constants), "handout"):
         return
-    for student in students:
-        place = target / safe_file_name(student) / folder.name
-        place.mkdir(parents=True)
-        handout(Course(constants, student, salt), place)
+    jobs = [(folder, target, salt, student) for student in students]
+    for _, lost in parallel_map(_write_handout, jobs, workers_for(jobs)):
+        if isinstance(lost, WorkerLostError):
+            raise lost
+
+
+def _write_handout(job: tuple[Path, Path, str, str]) -> None:
+    folder, target, salt, student = job
+    constants = course_constants(load_checks(folder), salt)
+    place = target / safe_file_name(student) / folder.name
+    shutil.rmtree(place, ignore_errors=True)  # of a process that ended
+    place.mkdir(parents=True)
+    handout = load_module(folder, "hidden", constants).handout
+    handout(Course(constants, student, salt), place)
 
 
 def _write(path: Path, text: str) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from falconwing_kit.tools.grading.hints import call_key, numbers_of
 from falconwing_kit.tools.grading.marks import (
     UNSTABLE,
     mark_of,
@@ -84,3 +85,11 @@ def test_an_error_is_no_answer_of_any_kind():
     assert raised_mark("ValueError").agrees(raised_mark("ValueError"))
     assert not raised_mark("ValueError").agrees(raised_mark("TypeError"))
     assert not raised_mark("ValueError").agrees(mark_of(0.0))
+
+
+@pytest.mark.parametrize("number", [1.5, -0.0, np.inf, 3, 2**63 - 1, np.float64(123456789.123)])
+def test_a_number_is_recorded_as_its_array_without_dimensions(number):
+    """The quick way for single numbers against the way of arrays, by which they were stored."""
+    array = np.asarray(number)
+    assert mark_of(number) == mark_of(array) and numbers_of(number) == numbers_of(array)
+    assert call_key((number, [number])) == call_key((array, [array]))

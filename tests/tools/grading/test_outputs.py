@@ -32,6 +32,21 @@ def test_outputs_are_those_of_the_solution_without_its_code(lab, tmp_path):
     assert not any("newtons" in source for source in shown)
 
 
+def test_words_and_width_of_a_film_are_kept(lab, tmp_path):
+    """As given to `moving_pictures` in a cell."""
+    film = (
+        "from falconwing_kit.tools.grading import moving_pictures\n"
+        'display(moving_pictures([[[0, 1], [2, 3]]], 0.1, "four pixels", 480))'
+    )
+    source = (lab / "lab.py").read_text(encoding="utf-8")
+    (lab / "lab.py").write_text(source.replace("print(weight(2.0))", film), encoding="utf-8")
+    write_notebooks(lab)
+    shown = json.loads(write_outputs(lab, tmp_path / "cache").read_text(encoding="utf-8"))
+    (outputs,) = [each for text, each in shown.items() if "moving_pictures" in text]
+    words = outputs[0]["metadata"]["image/gif"]
+    assert words["alt"] == "four pixels" and words["width"] == 480
+
+
 def test_a_failing_solution_is_refused(lab, tmp_path):
     """One sentence with the notebook and what was raised; no file is written."""
     source = (lab / "lab.py").read_text(encoding="utf-8")

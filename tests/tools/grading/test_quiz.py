@@ -283,7 +283,7 @@ def test_a_release_asks_the_course_its_own_numbers(tmp_path, monkeypatch, capsys
     from tests.labs.run_notebook import ROOT
 
     lab = ROOT / "labs" / "lab01_sizing"
-    monkeypatch.setattr(releasing, "hints_text", lambda folder, key: "")  # seconds, of other tests
+    monkeypatch.setattr(releasing, "hints_texts", lambda *_: [""])  # seconds, of other tests
     texts = []
     for number, key in enumerate(("1" * 64, "2" * 64)):
         out = tmp_path / f"out{number}"
