@@ -57,6 +57,34 @@ def load_views(kind: str) -> dict[str, Array]:
         }
 
 
+def fly_kit_pilot(name: str) -> str:
+    """One SIMULATED flight of a shipped pilot behind the leader through a climbing right S.
+
+    Args:
+        name: "rgb", "mask" or "rgb_mask"; it sees images of 320x240 and nothing else.
+
+    Returns:
+        What it came to, in words.
+    """
+    from falconwing_kit.flight import FollowTask, fpv_camera, load_pilot
+    from falconwing_kit.scene import load_scene
+    from falconwing_kit.tools.trials.trials import TrialSettings, fly_trials
+
+    camera = fpv_camera(320, 240)
+    pilot = load_pilot(name, "follow", "hall", camera)
+
+    def fresh(trial: object) -> Any:
+        pilot.reset()
+        return pilot
+
+    setting = TrialSettings(scene=load_scene("hall"), camera=camera, scene_name="hall")
+    (flown,) = fly_trials(FollowTask("right_turn_s_ascent"), fresh, 1, pilot=name, setting=setting)
+    kept = 100.0 * float(flown["locked_share"])
+    if not flown["success"]:
+        return f"{name}: lost the leader after {flown['lost_at_s']:.1f} s of {flown['steps'] / 20:.1f}"
+    return f"{name}: kept it in view for {kept:.0f} % of the time, {100 * flown['ate_m']:.0f} cm off on average"
+
+
 def look_alike(rng: np.random.Generator) -> Array:
     """A distractor: a bright panel with bars, of random size and colours (h, w, 3), 0..255."""
     height, width = rng.integers(5, 22), rng.integers(5, 26)
