@@ -349,7 +349,9 @@ def test_numbers_in_the_steps_are_the_files(sources, shapes):
     (screws,) = (item for item in sources.items if item.id == "screws")
     (length,) = re.findall(r"M2 x (\d+)", screws.part)
     cheek = assembly.script("bracket").WALL
-    said = f"A screw of {length} mm goes {int(length) - cheek:g} mm deep behind a cheek of {cheek:g}"
+    said = (
+        f"A screw of {length} mm goes {int(length) - cheek:g} mm deep behind a cheek of {cheek:g}"
+    )
     assert said in text["camera"]
     power = sources.camera.power_filter
     assert f"about {power.damping_ohm + power.coil_ohm:.1f} ohm" in text["filter_check"]

@@ -382,7 +382,7 @@ def test_limits_of_the_trim_flights_are_computed_right():
         "hold the switch for 0.5 s",
         "16 m to the wall",
         "bank by less than 10°",
-        "A tape across the middle line, 19 m from the start’s wall",
+        "A tape across the middle line, 19 m from the starting wall",
         "at 7.4 m/s, 8 m of descent",
         "at 40° of bank and 9.6 m/s have the same 22.3 m and a lift coefficient of 0.47",
     ):

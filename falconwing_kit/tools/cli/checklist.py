@@ -95,10 +95,11 @@ def walk(
             if step.stop:
                 break
     stopped = outcomes[-1].result == "NO" and checklist.asked[len(outcomes) - 1].stop
-    for number, step in enumerate(checklist.steps[len(checklist.asked) :], len(checklist.asked) + 1):
-        if not stopped:
-            head = f"\n{number}/{len(checklist.steps)} aloud, after this program has ended: {step.do}"
-            print(f"{head}\n    see: {step.see}\n    if not: {step.if_not}", file=sys.stderr)
+    for number, step in enumerate(checklist.steps, 1):
+        if step.spoken and not stopped:
+            text = f"aloud, after this program has ended: {step.do}\n    see: {step.see}"
+            print(f"\n{number}/{len(checklist.steps)} {text}", file=sys.stderr)
+            print(f"    if not: {step.if_not}", file=sys.stderr)
     printed = None
     if asks_print and (print_mm is not None or not stopped):
         printed = _check_print(print_mm, asked)
@@ -197,7 +198,7 @@ def _show(
         next_line(
             "start again from the first step"
             if failed
-            else f"start the program of the flight, if it has one; then item {len(checklist.steps)} aloud"
+            else f"start the flight's program, if it has one; then item {len(checklist.steps)} aloud"
             if checklist.steps[-1].spoken
             else "keep the record with your flight logs (--out DIR)"
         )

@@ -97,7 +97,7 @@ def throttles(monkeypatch):
     return seen
 
 
-def types(monkeypatch, text):
+def typed(monkeypatch, text):
     """Somebody at a terminal."""
     terminal = io.StringIO(text)
     monkeypatch.setattr(terminal, "isatty", lambda: True, raising=False)
@@ -110,7 +110,7 @@ def test_the_motor_is_turned_once_and_briefly(monkeypatch, capsys, throttles, po
     then one pulse of 2 s, to 0.15 s (STATUS every 50 ms, commands too); then the board is handed
     back. `sim` is the firmware in a simulated chip where its tools are there.
     """
-    types(monkeypatch, "propeller off\n")
+    typed(monkeypatch, "propeller off\n")
     assert run("bridge", "--port", port, "--turn-motor", "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["engaged"] == 1 and record["engagement"] in ("engaged", "dropped")
@@ -125,7 +125,7 @@ def test_the_motor_is_turned_once_and_briefly(monkeypatch, capsys, throttles, po
 @pytest.mark.parametrize("answer", ["", "\n", "yes\n", "y\n", "propeller on\n", "off\n"])
 def test_the_motor_is_not_turned_without_the_sentence(monkeypatch, capsys, throttles, answer):
     """Exit code 2, and the port was not opened."""
-    types(monkeypatch, answer)
+    typed(monkeypatch, answer)
     assert run("bridge", "--port", "sim-python", "--turn-motor") == 2
     assert "expected 'propeller off' to be typed" in capsys.readouterr().err and throttles == []
 
@@ -139,7 +139,7 @@ def test_the_motor_of_an_aircraft_is_not_turned_from_a_script(monkeypatch, capsy
 
 def test_a_pilot_who_moves_a_stick_ends_the_pulse(monkeypatch, capsys, throttles):
     """At 1200 us the pilot's elevator goes to its end: SAFE, throttle idle, exit code 1."""
-    types(monkeypatch, "propeller off\n")
+    typed(monkeypatch, "propeller off\n")
     watch = StatusLine.is_over
 
     def moved(line, recording=None):
@@ -157,10 +157,10 @@ def test_a_pilot_who_moves_a_stick_ends_the_pulse(monkeypatch, capsys, throttles
 
 
 def test_a_pilot_whose_throttle_is_up_does_not_let_the_pulse_begin(monkeypatch, capsys, throttles):
-    """Half throttle by the pilot: the board does not engage on idle; exit code 1, and the reason."""
+    """Half throttle by the pilot: the board does not engage on idle; exit code 1 and the reason."""
     from falconwing_kit.tools.cli import bridge
 
-    types(monkeypatch, "propeller off\n")
+    typed(monkeypatch, "propeller off\n")
     monkeypatch.setattr(bridge, "MOTOR_ENGAGE_S", 1.0)
     watch = StatusLine.is_over
 
