@@ -461,8 +461,8 @@ def draw_venue(path: Path) -> str:
         and two straights of {straight:g} m is {flight["circle_m"]:g} m wide, one metre from the
         far wall and {flight["net_m"]:g} m from a net along the near one. Behind the net,
         {net:.0f} m from the wall: safety pilot and operator at the middle, helper and class; a
-        guard stands outside each door, and the charging place with its guard is outside the hall, on a
-        stone floor. In the middle of the hall the
+        guard stands outside each door, and the charging place with its guard is outside the hall,
+        on a stone floor. In the middle of the hall the
         approach, from the hand-over point 20 m before the pad; the marker is {pad.x_start:g} m
         before the pad and 2 m to the left of its centre line."""
 

@@ -198,7 +198,7 @@ def _show(
         next_line(
             "start again from the first step"
             if failed
-            else f"start the flight's program, if it has one; then item {len(checklist.steps)} aloud"
+            else f"start the flight's program if it has one, then item {len(checklist.steps)} aloud"
             if checklist.steps[-1].spoken
             else "keep the record with your flight logs (--out DIR)"
         )
