@@ -148,8 +148,11 @@ class Book:
             if part.name in named and (at := anchor(owner, k)) is not None
         ]
         sheet.callouts(anchors, left)
-        for text, point in picture.get("texts", []):
-            sheet.text_box(view.pixels(np.array(point, dtype=float))[:2], text)
+        for text, *places in picture.get("texts", []):  # where the words are, and what they mean
+            ends = [view.pixels(np.array(point, dtype=float))[:2] for point in places]
+            if len(ends) > 1:
+                sheet.pointer(ends[0], ends[1])
+            sheet.text_box(ends[0], text)
         return sheet.png(), self.describe(step, parts, [text for text, _ in anchors])
 
     def _arrows(self, sheet: Sheet, step: dict[str, Any], parts: list[Part], view: View) -> None:
@@ -195,7 +198,7 @@ class Book:
             text += f" Arrows lead to the places of {', '.join(moving)}."
         for name in step["picture"].get("measures", []):
             text += f" Marked length: {MEASURES[name](self.sources)[2]}."
-        if words := [said for said, _ in step["picture"].get("texts", [])]:
+        if words := [said for said, *_ in step["picture"].get("texts", [])]:
             text += f" Words in the picture: {', '.join(words)}."
         if old:
             text += f" Grey, from earlier steps: {', '.join(old)}."

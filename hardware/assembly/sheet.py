@@ -38,6 +38,13 @@ class Sheet:
         self.pen.text(tuple(middle), text, fill=colour, font=self.font, anchor="mm")
         return box
 
+    def pointer(self, begin: Mesh, end: Mesh) -> None:
+        """A thin line from words to what they mean, with a dot at its end."""
+        self.pen.line([tuple(begin), tuple(end)], fill=DARK, width=2 * SMOOTH)
+        dot = 4 * SMOOTH
+        box = (end[0] - dot, end[1] - dot, end[0] + dot, end[1] + dot)
+        self.pen.ellipse(box, fill=DARK)
+
     def arrow(self, begin: Mesh, end: Mesh, both: bool = False) -> None:
         """A thick arrow, white around it; with two heads for a length."""
         along = end - begin

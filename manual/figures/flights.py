@@ -49,15 +49,6 @@ def draw_approach(path: Path) -> str:
             x, y, z = np.array(record["path_m"]).T[:3]
             above.plot(x, y, color=DARK, lw=0.8)
             side.plot(x, z, color=DARK, lw=0.8)
-        above.plot([-19.8, -19.8], [2.0, 8.0], color=MIDDLE, ls=":")
-        above.text(
-            -17.6,
-            5.0,
-            "both pilots; everyone else\nbehind the dotted line",
-            va="center",
-            fontsize=8.5,
-        )
-        above.plot(-18.6, 5.0, "^", ms=8, color=DARK)
         above.annotate(
             "hand over",
             (pad.x_start - 20.0, pad.y_centre),
@@ -73,8 +64,7 @@ def draw_approach(path: Path) -> str:
     landed = sum(record["success"] for record in records)
     return f"""Ten simulated landings by the expert with ground-truth state, without a camera:
         {landed} of {LANDINGS} on the pad. Top, the hall from above: from about 20 m before the pad
-        all paths run together onto its centre line. The pilots stand beside the hand-over point,
-        left of the path; everyone else stays behind them, at the wall that the flight leaves.
+        all paths run together onto its centre line; the hand-over point is there.
         Bottom, from the side: from 1.5 m height down a shallow slope, rounded before the pad."""
 
 

@@ -419,7 +419,7 @@ def draw_venue(path: Path) -> str:
     middle, begin = net + flight["net_m"] + radius, 0.5 * (long - straight)
     with drawing(path, 6.6, 4.3) as axes:
         (ax,) = axes.flat
-        bare(ax, (-1.5, long + 1.5), (-3.2, wide + 0.6))
+        bare(ax, (-4.5, long + 1.5), (-3.2, wide + 0.6))
         ax.plot([0, long, long, 0, 0], [0, 0, wide, wide, 0], color=DARK, lw=1.8)
         angles = [0.01 * math.pi * k for k in range(101)]
         right = [(begin + straight + radius * math.sin(a), -radius * math.cos(a)) for a in angles]
@@ -446,20 +446,23 @@ def draw_venue(path: Path) -> str:
         lap_words = f"lap {flight['circle_m']:g} m wide, straights of {straight:g} m"
         ax.text(0.5 * long, wide - 2.6, lap_words, ha="center")
         for x, mark, text in (
-            (4.0, "s", "charging, guard"),
             (0.5 * long, "^", "safety pilot, operator"),
             (long - 7.0, "o", "helper, class"),
         ):
             ax.plot(x, 0.5 * net, mark, ms=8, color=DARK)
             ax.text(x, -0.4, text, ha="center", va="top", fontsize=8.5)
+        ax.plot(-2.2, 0.5 * wide - 6.0, "s", ms=8, color=DARK, clip_on=False)
+        charge = "charging, guard: outside, stone floor"
+        ax.text(-3.0, 0.5 * wide - 5.0, charge, rotation=90, ha="right", va="bottom", fontsize=8.5)
         ax.text(0.5 * long + 7.0, net + 0.45, f"net, {net:.0f} m from the wall", fontsize=8.5)
         ax.text(0.5 * long, -2.0, f"{long} m", ha="center", va="top", fontsize=8.5)
         ax.text(-0.4, 0.5 * wide, f"{wide} m", rotation=90, ha="right", va="center", fontsize=8.5)
     return f"""The hall of the book from above, {long} by {wide} metres. A lap of two half circles
         and two straights of {straight:g} m is {flight["circle_m"]:g} m wide, one metre from the
         far wall and {flight["net_m"]:g} m from a net along the near one. Behind the net,
-        {net:.0f} m from the wall: charging place with a guard, safety pilot and operator at the
-        middle, helper and class; a guard stands outside each door. In the middle of the hall the
+        {net:.0f} m from the wall: safety pilot and operator at the middle, helper and class; a
+        guard stands outside each door, and the charging place with its guard is outside the hall,
+        on a stone floor. In the middle of the hall the
         approach, from the hand-over point 20 m before the pad; the marker is {pad.x_start:g} m
         before the pad and 2 m to the left of its centre line."""
 

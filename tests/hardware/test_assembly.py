@@ -346,6 +346,16 @@ def test_numbers_in_the_steps_are_the_files(sources, shapes):
     supply = sources.camera.supply
     assert f"{supply.low_v:.1f} to {supply.high_v:.1f} V" in text["supply"]
     assert f"{supply.high_v:.1f} V at most" in text["charge"]
+    row = {item.id: k for k, item in enumerate(sources.items, 1)}
+    assert f"(row {row['extension_lead']}, socket and plug" in text["filter"]
+    assert f"the converter (row {row['converter_5v']})" in text["supply"]
+    (screws,) = (item for item in sources.items if item.id == "screws")
+    (length,) = re.findall(r"M2 x (\d+)", screws.part)
+    cheek = assembly.script("bracket").WALL
+    said = (
+        f"A screw of {length} mm goes {int(length) - cheek:g} mm deep behind a cheek of {cheek:g}"
+    )
+    assert said in text["camera"]
     power = sources.camera.power_filter
     assert f"about {power.damping_ohm + power.coil_ohm:.1f} ohm" in text["filter_check"]
     back = 1000.0 * balance_move(sources.items, "battery", wing.mark / 1000.0)

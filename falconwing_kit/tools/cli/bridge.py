@@ -1,6 +1,7 @@
 """falconwing bridge: monitor the board: state, counters, delay, pilot's sticks."""
 
 import math
+import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -8,6 +9,7 @@ from pathlib import Path
 
 from falconwing_kit.core.checks import InputError, require_range
 from falconwing_kit.core.messages import Command
+from falconwing_kit.tools.bridge.open_port import PORTS
 from falconwing_kit.tools.cli.board_status import (
     MAX_S,
     POLL_S,
@@ -18,13 +20,18 @@ from falconwing_kit.tools.cli.board_status import (
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.trainer_port.port import TrainerPort
 
-PERIOD_S = 0.05  # between two commands of --move-sticks
+PERIOD_S = 0.05  # between two commands of --move-sticks and --turn-motor
+CONFIRMATION = "propeller off"  # typed before --turn-motor sends anything
+MOTOR_THROTTLE = 0.2  # of its pulse; 1200 us where the calibration has 1000 to 2000
+MOTOR_WAIT_S = 3.0  # from the engagement to the pulse, throttle idle
+MOTOR_PULSE_S = 2.0  # length of the pulse
+MOTOR_ENGAGE_S = 15.0  # maximum time to the engagement
 
 
 @dataclass(frozen=True)
 class Bridge:
     """Show the board's state, counters, delay and the pilot's sticks. Commands are sent only with
-    --ros or --move-sticks.
+    --ros, --move-sticks or --turn-motor.
 
     Ctrl-C ends it and returns control to the pilot. Exit code 0 if the board answered until the
     end, else 1.
@@ -46,6 +53,11 @@ class Bridge:
     """engage, and move aileron, elevator and rudder slowly with the throttle idle: for the bench,
     propeller off
     """
+    turn_motor: bool = False
+    """engage with the throttle idle and open it to 20 % once, for 2 s: for the bench, to see
+    whether the radio's throttle cut acts on the computer. Asks at the terminal whether the
+    propeller is off, and ends by itself
+    """
     without_camera: bool = False
     """with --ros: the controller flies without images, such as by motion capture; otherwise a
     command that names no image, or one older than --max-image-age, hands back
@@ -61,23 +73,32 @@ class Bridge:
         """Monitor until the time is up or Ctrl-C.
 
         Returns:
-            0 if the board answered until the end, else 1.
+            0 if the board answered until the end, and with --turn-motor if the pulse was sent; else
+            1.
 
         Raises:
-            InputError: the port cannot be opened, no board answers, or the calibration does not
-                fit.
+            InputError: the port cannot be opened, no board answers, the calibration does not fit,
+                or the propeller was not confirmed to be off.
         """
         require_range("--seconds", self.seconds, low=0.0, high=MAX_S)
-        if self.ros and self.move_sticks:
+        if self.ros + self.move_sticks + self.turn_motor > 1:
             raise InputError(
-                "--move-sticks: expected one source of commands, got --ros too; leave one out"
+                "expected one source of commands, got two of --ros, --move-sticks, --turn-motor; "
+                "leave one out"
             )
+        if self.turn_motor:
+            _require_confirmation(self.port)
+        sent = True
         with open_ready_port(self.port, self.calibration, self.radio) as port:
             # A moving stick of the pilot takes over, a SIMULATED pilot's too.
-            line = StatusLine(port, self.seconds, moves=not (self.ros or self.move_sticks))
+            sends = self.ros or self.move_sticks or self.turn_motor
+            line = StatusLine(port, self.seconds, moves=not sends)
             with suppress(KeyboardInterrupt):
                 if self.ros:
                     self._relay(port, line)
+                elif self.turn_motor:
+                    sent = False  # if Ctrl-C ends it
+                    sent = self._turn_motor(port, line)
                 else:
                     self._monitor(port, line)
             line.end()
@@ -91,7 +112,7 @@ class Bridge:
             ]
             print_table(("what", "value"), rows)
             next_line(f"falconwing record --port {self.port} --out recordings")
-        return 0 if answered else 1
+        return 0 if answered and sent else 1
 
     def _monitor(self, port: TrainerPort, line: StatusLine) -> None:
         """Poll the board and, with --move-sticks, send commands at 20 Hz.
@@ -110,6 +131,34 @@ class Bridge:
                 sent = int(t / PERIOD_S) + 1
             port.poll()
             time.sleep(POLL_S)
+
+    def _turn_motor(self, port: TrainerPort, line: StatusLine) -> bool:
+        """Engage at idle, wait, open the throttle once, idle again; whether it came to its end.
+
+        A take-over by the pilot, a silent board, or an engagement that does not come ends it.
+        """
+        start, sent, engaged = time.perf_counter(), 0, math.nan
+        while not line.is_over():
+            t = time.perf_counter() - start
+            if math.isnan(engaged) and port.engagement == "engaged":
+                engaged = t
+                print(f"\nengaged: the throttle opens in {MOTOR_WAIT_S:g} s", file=sys.stderr)
+            since = t - engaged  # nan before the engagement: every comparison below is False
+            if since >= MOTOR_WAIT_S + MOTOR_PULSE_S:
+                return True
+            if math.isnan(engaged) and t > MOTOR_ENGAGE_S:
+                line.alert(f"the board did not engage: {port.mismatch() or port.state}")
+                return False
+            if since > 0.0 and port.engagement != "engaged":
+                line.alert("the board handed back before the end of the pulse")
+                return False
+            if t >= PERIOD_S * sent:
+                throttle = MOTOR_THROTTLE if since >= MOTOR_WAIT_S else 0.0
+                port.send(Command(throttle, 0.0, 0.0, 0.0), engage=True)
+                sent = int(t / PERIOD_S) + 1
+            port.poll()
+            time.sleep(POLL_S)
+        return False
 
     def _relay(self, port: TrainerPort, line: StatusLine) -> None:
         from falconwing_kit.flight.supervisor import Supervisor, SupervisorSettings
@@ -134,3 +183,27 @@ class Bridge:
             )
         finally:
             bus.close()
+
+
+def _require_confirmation(port: str) -> None:
+    """The sentence that the propeller is off, typed at the terminal.
+
+    Raises:
+        InputError: something else was typed, or nobody is at a terminal of a board on USB.
+    """
+    if port not in PORTS and not (sys.stdin is not None and sys.stdin.isatty()):
+        raise InputError(
+            "--turn-motor: expected a person at a terminal, got none; the motor turns: type the "
+            "command at the bench"
+        )
+    print(
+        f"The motor will turn for {MOTOR_PULSE_S:g} s. Propeller off, aircraft held, hands away "
+        f"from the shaft? Type: {CONFIRMATION}",
+        file=sys.stderr,
+        flush=True,
+    )
+    typed = "" if sys.stdin is None else sys.stdin.readline().strip()
+    if typed != CONFIRMATION:
+        raise InputError(
+            f"--turn-motor: expected {CONFIRMATION!r} to be typed, got {typed!r}; nothing was sent"
+        )

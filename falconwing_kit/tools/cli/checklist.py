@@ -82,7 +82,7 @@ def walk(
     start = datetime.now()
     print(f"{checklist.title}{'; y yes, n no, s skip' if asked else ''}", file=sys.stderr)
     outcomes: list[StepOutcome] = []
-    for number, step in enumerate(checklist.steps, 1):
+    for number, step in enumerate(checklist.asked, 1):
         heading = f"\n{number}/{len(checklist.steps)} {step.do}\n    see: {step.see}"
         print(heading, file=sys.stderr)
         outcome = _run_automatic(step, devices) if step.automatic else None
@@ -94,13 +94,18 @@ def walk(
             print(f"    so: {step.if_not}", file=sys.stderr)
             if step.stop:
                 break
-    stopped = outcomes[-1].result == "NO" and checklist.steps[len(outcomes) - 1].stop
+    stopped = outcomes[-1].result == "NO" and checklist.asked[len(outcomes) - 1].stop
+    for number, step in enumerate(checklist.steps, 1):
+        if step.spoken and not stopped:
+            text = f"aloud, after this program has ended: {step.do}\n    see: {step.see}"
+            print(f"\n{number}/{len(checklist.steps)} {text}", file=sys.stderr)
+            print(f"    if not: {step.if_not}", file=sys.stderr)
     printed = None
     if asks_print and (print_mm is not None or not stopped):
         printed = _check_print(print_mm, asked)
     done = {outcome.id for outcome in outcomes}
     outcomes += [
-        StepOutcome(step.id, "not done", "", "") for step in checklist.steps if step.id not in done
+        StepOutcome(step.id, "not done", "", "") for step in checklist.asked if step.id not in done
     ]
     failed = any(o.result == "NO" or (asked and o.result == "not done") for o in outcomes)
     failed |= printed is not None and printed.result == "NO"
@@ -181,7 +186,7 @@ def _show(
         ("step", "result", "by", "measured"), [(o.id, o.result, o.by, o.seen) for o in rows]
     )
     bad = next(
-        (step for step, o in zip(checklist.steps, outcomes, strict=True) if o.result == "NO"), None
+        (step for step, o in zip(checklist.asked, outcomes, strict=True) if o.result == "NO"), None
     )
     if bad is not None:
         next_line(bad.if_not)
@@ -193,6 +198,8 @@ def _show(
         next_line(
             "start again from the first step"
             if failed
+            else f"start the flight's program if it has one, then item {len(checklist.steps)} aloud"
+            if checklist.steps[-1].spoken
             else "keep the record with your flight logs (--out DIR)"
         )
 

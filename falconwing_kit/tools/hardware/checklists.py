@@ -20,6 +20,7 @@ class Step:
     if_not: str  # remedy for another result
     stop: bool  # later steps require this one to pass
     automatic: str = ""  # automatic check, one of AUTOMATIC; "" is left to the person
+    spoken: bool = False  # said aloud after the program has ended, such as the last before take-off
 
     def __post_init__(self) -> None:
         if not self.id.isidentifier() or not (self.do and self.see and self.if_not):
@@ -45,6 +46,14 @@ class Checklist:
         twice = [name for name in ids if ids.count(name) > 1]
         if not ids or twice:
             raise InputError(f"steps: expected at least one and every id once, got {twice or ids}")
+        spoken = [step.spoken for step in self.steps]
+        if spoken != sorted(spoken) or all(spoken):
+            raise InputError("steps: expected the spoken ones last, and at least one before them")
+
+    @property
+    def asked(self) -> tuple[Step, ...]:
+        """The steps that the program asks for or checks: all but the spoken ones."""
+        return tuple(step for step in self.steps if not step.spoken)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,8 @@ are simulated.
 """
 
 import dataclasses
+import io
+import itertools
 import json
 import os
 import signal
@@ -72,10 +74,105 @@ def test_the_bench_moves_the_sticks_and_never_the_throttle(capsys):
     assert all(abs(us - 1500) <= 150 for us in others)
 
 
-def test_two_givers_of_commands_are_refused(capsys):
+@pytest.mark.parametrize(
+    "two", list(itertools.combinations(("--ros", "--move-sticks", "--turn-motor"), 2))
+)
+def test_two_givers_of_commands_are_refused(capsys, two):
     """ROS and the bench: one of them."""
-    assert run("bridge", "--port", "sim-python", "--ros", "--move-sticks") == 2
+    assert run("bridge", "--port", "sim-python", *two) == 2
     assert "leave one out" in capsys.readouterr().err
+
+
+@pytest.fixture
+def throttles(monkeypatch):
+    """(time, throttle slot) of every pass through the bridge's loop, as the board reports it."""
+    seen, is_over = [], StatusLine.is_over
+
+    def watch(line, recording=None):
+        if line.port.status is not None:
+            seen.append((line.port.now(), line.port.status.channels_us[0]))
+        return is_over(line, recording)
+
+    monkeypatch.setattr(StatusLine, "is_over", watch)
+    return seen
+
+
+def typed(monkeypatch, text):
+    """Somebody at a terminal."""
+    terminal = io.StringIO(text)
+    monkeypatch.setattr(terminal, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr("sys.stdin", terminal)
+
+
+@pytest.mark.parametrize("port", ["sim-python", "sim"])
+def test_the_motor_is_turned_once_and_briefly(monkeypatch, capsys, throttles, port):
+    """By hand: idle is 1000 us, a fifth of 1000 us more is 1200; idle for 3 s after the engagement,
+    then one pulse of 2 s, to 0.15 s (STATUS every 50 ms, commands too); then the board is handed
+    back. `sim` is the firmware in a simulated chip where its tools are there.
+    """
+    typed(monkeypatch, "propeller off\n")
+    assert run("bridge", "--port", port, "--turn-motor", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["engaged"] == 1 and record["engagement"] in ("engaged", "dropped")
+    levels = [us for _, us in throttles]
+    assert max(levels) == 1200 and levels[0] == 1000
+    high = [t for t, us in throttles if us > 1000]
+    begin = next(t for t, us in throttles if us > 1000)
+    assert high[-1] - begin == pytest.approx(2.0, abs=0.15)
+    assert begin - throttles[0][0] > 2.9
+
+
+@pytest.mark.parametrize("answer", ["", "\n", "yes\n", "y\n", "propeller on\n", "off\n"])
+def test_the_motor_is_not_turned_without_the_sentence(monkeypatch, capsys, throttles, answer):
+    """Exit code 2, and the port was not opened."""
+    typed(monkeypatch, answer)
+    assert run("bridge", "--port", "sim-python", "--turn-motor") == 2
+    assert "expected 'propeller off' to be typed" in capsys.readouterr().err and throttles == []
+
+
+def test_the_motor_of_an_aircraft_is_not_turned_from_a_script(monkeypatch, capsys):
+    """The sentence in a pipe is nobody at the bench."""
+    monkeypatch.setattr("sys.stdin", io.StringIO("propeller off\n"))
+    assert run("bridge", "--port", "/dev/ttyACM0", "--turn-motor") == 2
+    assert "expected a person at a terminal" in capsys.readouterr().err
+
+
+def test_a_pilot_who_moves_a_stick_ends_the_pulse(monkeypatch, capsys, throttles):
+    """At 1200 us the pilot's elevator goes to its end: SAFE, throttle idle, exit code 1."""
+    typed(monkeypatch, "propeller off\n")
+    watch = StatusLine.is_over
+
+    def moved(line, recording=None):
+        with line.port.simulation.pause() as board:
+            up = line.port.status.channels_us[0] > 1000
+            board.set_pilot((1000, 1500, 2000 if up else 1500, 1500))
+        return watch(line, recording)
+
+    monkeypatch.setattr(StatusLine, "is_over", moved)
+    assert run("bridge", "--port", "sim-python", "--turn-motor", "--json") == 1
+    said = capsys.readouterr()
+    assert "handed back before the end" in said.err
+    high = [t for t, us in throttles if us > 1000]
+    assert high and high[-1] - high[0] < 0.5
+
+
+def test_a_pilot_whose_throttle_is_up_does_not_let_the_pulse_begin(monkeypatch, capsys, throttles):
+    """Half throttle by the pilot: the board does not engage on idle; exit code 1 and the reason."""
+    from falconwing_kit.tools.cli import bridge
+
+    typed(monkeypatch, "propeller off\n")
+    monkeypatch.setattr(bridge, "MOTOR_ENGAGE_S", 1.0)
+    watch = StatusLine.is_over
+
+    def up(line, recording=None):
+        with line.port.simulation.pause() as board:
+            board.set_pilot((1500, 1500, 1500, 1500))
+        return watch(line, recording)
+
+    monkeypatch.setattr(StatusLine, "is_over", up)
+    assert run("bridge", "--port", "sim-python", "--turn-motor", "--json") == 1
+    assert "did not engage: throttle 1000 us" in capsys.readouterr().err
+    assert {us for _, us in throttles} == {1000}
 
 
 def test_the_bridge_s_table_ends_with_what_to_do_next(capsys):

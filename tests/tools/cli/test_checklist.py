@@ -72,6 +72,22 @@ def test_no_at_a_step_that_stops_ends_the_walk(monkeypatch, capsys):
     assert "2/2" not in printed.err and printed.out.rstrip().endswith("next: mend one")
 
 
+def test_the_last_preflight_item_is_spoken_after_the_port_is_free(monkeypatch, capsys):
+    """The operator starts the recording between the program's end and "cut off": the program asks
+    for eleven items, prints the twelfth and never asks for it; after a no it does not print it.
+    """
+    preflight = load_checklists().preflight
+    typed(monkeypatch, "y\n" * 50)
+    assert walk(preflight, ChecklistDevices()) == 0
+    printed = capsys.readouterr()
+    assert printed.err.count("[y/n/s]") == len(preflight.asked) == len(preflight.steps) - 1
+    assert preflight.steps[-1].id == "cut_off" and preflight.steps[-1].do in printed.err
+    assert printed.out.rstrip().endswith("then item 12 aloud")
+    typed(monkeypatch, "n\n")
+    assert walk(preflight, ChecklistDevices()) == 1
+    assert preflight.steps[-1].do not in capsys.readouterr().err
+
+
 def test_automatic_step_without_a_tool_is_asked(monkeypatch, capsys):
     """No port was given: the person reports the board's state, and a no stops the checklist."""
     typed(monkeypatch, "n\ny\n")
@@ -96,7 +112,7 @@ def test_without_a_terminal_it_is_printed(monkeypatch, capsys, tmp_path):
         printed = capsys.readouterr()
         record = json.loads(printed.out)
         assert all(step.do in printed.err and step.see in printed.err for step in checklist.steps)
-        wanted = ["skipped" if step.automatic else "not done" for step in checklist.steps]
+        wanted = ["skipped" if step.automatic else "not done" for step in checklist.asked]
         assert [step["result"] for step in record["steps"]] == wanted and not record["complete"]
     assert list(tmp_path.iterdir()) == []
 

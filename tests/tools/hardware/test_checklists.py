@@ -43,9 +43,48 @@ def test_nobody_touches_the_trainer_plug_with_the_throttle_cut_off():
     warm = {
         step.id: step.do for step in steps if "camera" in step.do.lower() and step.id != "range"
     }
+    assert "without a log: the camera's plug stays out" in warm["propeller"]
     powered = [name for name in ("battery", "picture", "propeller") if "two" in warm.get(name, "")]
     assert powered == ["battery", "picture", "propeller"]
     assert "two minutes at most" in next(step.do for step in steps if step.id == "range")
+
+
+def test_the_cut_goes_off_only_when_the_flight_s_program_runs():
+    """Safety rule: nobody types beside an armed aircraft. The item that frees the motor is the
+    last, and the only one that the program does not ask for; chapter 10 starts the recording in
+    the step before it.
+    """
+    steps = load_checklists().preflight.steps
+    assert [step.id for step in steps if step.spoken] == ["cut_off"] and steps[-1].spoken
+    assert "record" in steps[-1].do and "runs" in steps[-1].do
+    chapter = shipped_path("manual/chapters/5_fly.typ", "").read_text(encoding="utf-8")
+    begin = chapter.index("falconwing doctor --preflight")
+    assert begin < chapter.index("falconwing record --port P") < chapter.index("Item 12")
+
+
+def test_after_a_flight_the_cut_is_on_before_anyone_walks():
+    """Safety rule: the battery cannot be out before somebody is there, so the cut comes first, then
+    the word, the way, the plug. In the chapter on repairs, and in the item that frees the motor.
+    """
+    text = shipped_path("manual/chapters/6_keep.typ", "").read_text(encoding="utf-8")
+    said = " ".join(text.split("= Repairs")[1].split("#table(")[0].lower().split())
+    order = ["throttle cut on", '"safe"', "walk to it", "battery out", "lift it"]
+    at = [said.index(words) for words in order]
+    assert at == sorted(at)
+    assert "before anyone walks to the aircraft" in load_checklists().preflight.steps[-1].do
+
+
+def test_the_computer_s_throttle_is_tried_with_the_cut_before_any_propeller():
+    """The cut must act on the trainer's throttle too: own step of the bench test, after the
+    take-over works, first with the cut on, then off to see that the pulse arrives at all. A no
+    stops no flight by hand; `falconwing fly --port` requires every step.
+    """
+    bench = load_checklists().bench.steps
+    order = [step.id for step in bench]
+    assert order.index("propeller_off") < order.index("takeover") < order.index("cut_student")
+    (step,) = [step for step in bench if step.id == "cut_student"]
+    assert step.do.index("cut on") < step.do.index("--turn-motor") < step.do.index("cut off")
+    assert not step.stop and "no flight with the computer" in step.if_not
 
 
 def test_whatever_takes_the_aircraft_back_must_pass():
@@ -69,6 +108,7 @@ def test_whatever_takes_the_aircraft_back_must_pass():
         (lambda t: t["bench"]["steps"][1].update(id="propeller_off"), "every id once"),
         (lambda t: t["bench"]["steps"][4].update(automatic="colour"), "board, sticks, picture"),
         (lambda t: t["bench"].update(steps=[]), "at least one"),
+        (lambda t: t["preflight"]["steps"][0].update(spoken=True), "spoken ones last"),
         (lambda t: t.pop("preflight"), "preflight"),
         (lambda t: t.update(postflight=t["bench"]), "postflight"),
     ],
