@@ -79,10 +79,10 @@ def fly_kit_pilot(name: str) -> str:
 
     setting = TrialSettings(scene=load_scene("hall"), camera=camera, scene_name="hall")
     (flown,) = fly_trials(FollowTask("right_turn_s_ascent"), fresh, 1, pilot=name, setting=setting)
-    kept = 100.0 * float(flown["locked_share"])
     if not flown["success"]:
-        return f"{name}: lost the leader after {flown['lost_at_s']:.1f} s of {flown['steps'] / 20:.1f}"
-    return f"{name}: kept it in view for {kept:.0f} % of the time, {100 * flown['ate_m']:.0f} cm off on average"
+        return f"{name}: lost the leader after {flown['lost_at_s']:.1f} s"
+    kept, off = 100.0 * flown["locked_share"], 100.0 * flown["ate_m"]
+    return f"{name}: kept it in view for {kept:.0f} % of the time, {off:.0f} cm off on average"
 
 
 def look_alike(rng: np.random.Generator) -> Array:
