@@ -68,7 +68,7 @@ def fly_kit_pilot(name: str) -> str:
     """
     from falconwing_kit.flight import FollowTask, fpv_camera, load_pilot
     from falconwing_kit.scene import load_scene
-    from falconwing_kit.tools.trials.trials import TrialSettings, fly_trials
+    from falconwing_kit.tools.trials import TrialSettings, fly_trials
 
     camera = fpv_camera(320, 240)
     pilot = load_pilot(name, "follow", "hall", camera)

@@ -6,10 +6,11 @@ from falconwing_kit.tools.trials.statistics import (
     clopper_pearson_interval,
     mcnemar_p_value,
 )
-from falconwing_kit.tools.trials.trials import fly_trial, fly_trials, read_trials
+from falconwing_kit.tools.trials.trials import TrialSettings, fly_trial, fly_trials, read_trials
 
 __all__ = [
     "HiddenCase",
+    "TrialSettings",
     "bootstrap_mean_interval",
     "clopper_pearson_interval",
     "fly_trial",
