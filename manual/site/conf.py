@@ -131,6 +131,16 @@ def mathml(text: str, *, block: bool) -> str:
 
     text = re.sub(r"\\[bB]igg?[lrm]?(?![a-zA-Z])", "", text)  # MathML's brackets grow by themselves
     text = text.replace("°", r"{}^\circ").replace(r"\texttt", r"\mathtt")
+    text = re.sub(r"(\\[dt]?frac) ?(\d)([0-9a-zA-Z])", r"\1{\2}{\3}", text)  # else 12 is a number
     if block and r"\\" in text and r"\begin" not in text:
         text = rf"\begin{{aligned}}{text}\end{{aligned}}"
-    return str(tex2mathml(text, as_block=block))
+    return index_beside_accent(str(tex2mathml(text, as_block=block)))
+
+
+def index_beside_accent(formula: str) -> str:
+    """MathML in which an index of an accented letter stands beside it, not below it."""
+    pattern = (
+        r"<munderover>\s*(<mi>\w</mi>)\s*(<m[in]>[^<]+</m[in]>)"
+        r'\s*(<mo stretchy="false">[ˆ˙ˉ˜]</mo>)\s*</munderover>'
+    )
+    return re.sub(pattern, r"<msub><mover>\1\3</mover>\2</msub>", formula)
