@@ -48,6 +48,7 @@ def setup(app: Any) -> None:
     """Called by Sphinx: docstrings as the kit writes them, and formulas as MathML."""
     app.connect("autodoc-process-docstring", plain_docstring, priority=400)  # before napoleon's 500
     app.connect("autodoc-process-signature", short_types)
+    app.connect("html-page-context", whole_options)
     app.add_html_math_renderer(
         "mathml", inline_renderers=(inline_math, None), block_renderers=(block_math, None)
     )
@@ -77,6 +78,13 @@ def plain_docstring(
         else:
             out += [*map(escape, block), ""]
     lines[:] = out
+
+
+def whole_options(app: Any, page: str, template: str, context: Any, doctree: Any) -> None:
+    """Options in code, marked so that no line ends between their hyphens and their word."""
+    if "body" in context:
+        pattern = r'<span class="pre">(--[a-z][^<]{0,28})</span>'
+        context["body"] = re.sub(pattern, r'<span class="pre option">\1</span>', context["body"])
 
 
 def short_types(*arguments: Any) -> tuple[str | None, str | None]:

@@ -323,6 +323,13 @@ def test_all_kinds_of_pages_are_there(pages):
     )
 
 
+def test_no_line_ends_inside_an_option(site):
+    """Two hyphens and a word on two lines are typed as two words; the whole page of commands."""
+    text = (site / "commands.html").read_text(encoding="utf-8")
+    options = re.findall(r'<span class="([^"]+)">--[a-z][^<]{0,28}</span>', text)
+    assert len(options) > 50 and set(options) == {"pre option"}
+
+
 def test_pages_can_be_read_aloud(pages):
     """Language, one title, headings in order, and words for every picture [WCAG 2.2: 3.1.1, 2.4.6,
     1.3.1, 1.1.1].
