@@ -83,8 +83,8 @@ def plain_docstring(
 def whole_options(app: Any, page: str, template: str, context: Any, doctree: Any) -> None:
     """Options in code, marked so that no line ends between their hyphens and their word."""
     if "body" in context:
-        pattern = r'<span class="pre">(--[a-z][^<]{0,28})</span>'
-        context["body"] = re.sub(pattern, r'<span class="pre option">\1</span>', context["body"])
+        pattern = r'(<span class="pre">)(--[a-z][a-z0-9-]*)'
+        context["body"] = re.sub(pattern, r'\1<span class="option">\2</span>', context["body"])
 
 
 def short_types(*arguments: Any) -> tuple[str | None, str | None]:
