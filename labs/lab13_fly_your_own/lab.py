@@ -380,5 +380,5 @@ check_quiz(quiz)
 # goals with a score, if you have an evening left: land closer to the line (where does the last turn begin?), draw the
 # film faster (which Gaussians does a tile really need?), and let the policy fly all of it.
 #
-# **With hardware:** the kit's `fly --port P --source camera` runs this loop with a camera and a board; the manual's
-# chapter 5 says what must be tested before.
+# **With hardware:** the kit's `fly --port P --source camera` runs this loop with a camera and a board; the builder's
+# book, chapter 12, says what must be tested before.

@@ -48,6 +48,7 @@ def setup(app: Any) -> None:
     """Called by Sphinx: docstrings as the kit writes them, and formulas as MathML."""
     app.connect("autodoc-process-docstring", plain_docstring, priority=400)  # before napoleon's 500
     app.connect("autodoc-process-signature", short_types)
+    app.connect("html-page-context", whole_options)
     app.add_html_math_renderer(
         "mathml", inline_renderers=(inline_math, None), block_renderers=(block_math, None)
     )
@@ -77,6 +78,13 @@ def plain_docstring(
         else:
             out += [*map(escape, block), ""]
     lines[:] = out
+
+
+def whole_options(app: Any, page: str, template: str, context: Any, doctree: Any) -> None:
+    """Options in code, marked so that no line ends between their hyphens and their word."""
+    if "body" in context:
+        pattern = r'(<span class="pre">)(--[a-z][a-z0-9-]*)'
+        context["body"] = re.sub(pattern, r'\1<span class="option">\2</span>', context["body"])
 
 
 def short_types(*arguments: Any) -> tuple[str | None, str | None]:
@@ -131,6 +139,16 @@ def mathml(text: str, *, block: bool) -> str:
 
     text = re.sub(r"\\[bB]igg?[lrm]?(?![a-zA-Z])", "", text)  # MathML's brackets grow by themselves
     text = text.replace("°", r"{}^\circ").replace(r"\texttt", r"\mathtt")
+    text = re.sub(r"(\\[dt]?frac) ?(\d)([0-9a-zA-Z])", r"\1{\2}{\3}", text)  # else 12 is a number
     if block and r"\\" in text and r"\begin" not in text:
         text = rf"\begin{{aligned}}{text}\end{{aligned}}"
-    return str(tex2mathml(text, as_block=block))
+    return index_beside_accent(str(tex2mathml(text, as_block=block)))
+
+
+def index_beside_accent(formula: str) -> str:
+    """MathML in which an index of an accented letter stands beside it, not below it."""
+    pattern = (
+        r"<munderover>\s*(<mi>\w</mi>)\s*(<m[in]>[^<]+</m[in]>)"
+        r'\s*(<mo stretchy="false">[ˆ˙ˉ˜]</mo>)\s*</munderover>'
+    )
+    return re.sub(pattern, r"<msub><mover>\1\3</mover>\2</msub>", formula)

@@ -274,8 +274,9 @@ def drawn_by(metadata: dict[str, Any]) -> str:
 def api_page(room: str) -> str:
     """The public names of a room, described by their docstrings."""
     module = f"falconwing_kit.{room}"
+    title = module.replace(".", ".\u200b")  # where a phone may end the line
     return (
-        f"# {module}\n\n```{{eval-rst}}\n.. automodule:: {module}\n"
+        f"# {title}\n\n```{{eval-rst}}\n.. automodule:: {module}\n"
         "   :members:\n   :imported-members:\n```\n"
     )
 

@@ -296,6 +296,9 @@ def test_mean_of_pulses_gives_their_height():
     for row in table[1:]:
         low = int(row[1]) * 0.4 / 22.0
         assert 10.0 * low < 1.7 < 2.1 * (1.0 - low)
+    for name in ("firmware/README.md", "manual/site/builder/facts.md"):  # the same border there
+        text = (ROOT / name).read_text("utf-8")
+        assert "1.7 V" in text and "1.3 V" not in text, name
 
 
 def test_channels_inside_the_bands():
@@ -409,6 +412,36 @@ def test_each_trim_flight_has_its_conditions():
     chapter = (MANUAL / "chapters" / "5_fly.typ").read_text("utf-8").split("= First autonomous")[1]
     steps = re.split(r"\n  step", chapter.split("#steps(")[1])[1:]
     assert "hand-overs last one second" in steps[6] and "THROTTLE_CEILING_US" in steps[5]
+
+
+def test_what_a_no_at_the_step_of_the_throttle_cut_forbids():
+    """That step is no STOP: a no forbids the computer's flights, not those by hand, and the trainer
+    plug is out in all of them. Bench test, preflight, table of leads and flights say the same.
+    """
+    lists = load_checklists()
+    number, step = next((k, s) for k, s in enumerate(lists.bench.steps, 1) if s.id == "cut_student")
+    assert number == 12 and not step.stop
+    assert "no flight with the computer, and every flight with the trainer plug out" in step.if_not
+    plug = next(s for s in lists.preflight.steps if s.id == "trainer_plug")
+    assert 'every flight after a no at the bench test\'s step "cut student": pull' in plug.do
+    entry = {flight["id"]: flight["entry"] for flight in DATA["trim_flights"]["flights"]}
+    assert 'after a no at "cut student" alone the trainer plug is out' in entry["ground"]
+    assert all('"cut student" a yes' in entry[name] for name in ("drill_air", "one_second"))
+    assert "the plug is out here too" in entry["log"]
+    row = next(row for row in printed_table("when") if row[0] == "flight by hand with a log")
+    assert row[1] == "16a, switch not held; none after a no at bench step 12"
+
+
+def test_no_line_ends_inside_an_option():
+    """Two hyphens and a word on two lines are typed as two words: each option of a command is one
+    piece, in both forms by one rule.
+    """
+    code = re.findall(r"<code[^>]*>(.*?)</code>", html(), re.S)
+    bare = [
+        c for c in code if re.search(r"--[a-z]", re.sub(r'<span class="option">.*?</span>', "", c))
+    ]
+    assert bare == []
+    assert '<span class="option">--hall-width-m</span>' in html()
 
 
 def test_every_flight_has_all_people_behind_the_net():

@@ -64,6 +64,12 @@ CONTRAST = """() => {
 }"""
 
 
+# A table of which a phone shows one column alone reads as if that were all.
+ONE_COLUMN = """() => [...document.querySelectorAll("article tr > :nth-child(2)")].filter(
+  cell => cell.getBoundingClientRect().width && cell.getBoundingClientRect().left > innerWidth - 90
+).map(cell => `${cell.tagName}: ${cell.textContent.trim().slice(0, 30)}`)"""
+
+
 # What sticks out of a page to the right, but for the inside of boxes that scroll by themselves.
 STICKS_OUT = """() => [...document.querySelectorAll("article *")].filter(element => {
   if (element.getBoundingClientRect().right <= innerWidth + 1) return false;
@@ -273,6 +279,18 @@ def test_docstrings_keep_their_equations_and_characters():
     assert conf.short(f"(mass: {array}, a: ~kit.Airframe)") == "(mass: Array, a: Airframe)"
 
 
+def test_formulas_are_those_of_the_labs():
+    """By hand: a half is 1 over 2 and not 12 over what follows; an accent's index is beside it."""
+
+    def drawn(text):
+        return re.sub(r"\s+", "", conf.mathml(text, block=False))
+
+    assert "<mn>1</mn><mn>2</mn></mfrac><mi>ρ</mi>" in drawn(r"\tfrac12 \rho")
+    assert "<mn>1</mn><mi>W</mi></mfrac>" in drawn(r"\tfrac1W \sum w_i")
+    accent = '<mover><mi>u</mi><mostretchy="false">ˆ</mo></mover>'
+    assert f"<msub>{accent}<mi>i</mi></msub>" in drawn(r"\hat u_i")
+
+
 def test_site_is_small_and_its_build_cheap(site):
     """The limits of the plan: 60 s of CPU, and 25 MB, with the labs' outputs where they are."""
     assert built()[1] < 60.0
@@ -305,6 +323,13 @@ def test_all_kinds_of_pages_are_there(pages):
     )
 
 
+def test_no_line_ends_inside_an_option(site):
+    """Two hyphens and a word on two lines are typed as two words; the whole page of commands."""
+    text = (site / "commands.html").read_text(encoding="utf-8")
+    options = re.findall(r'<span class="([^"]+)">--[a-z][a-z0-9-]*', text)
+    assert len(options) > 50 and set(options) == {"option"}
+
+
 def test_pages_can_be_read_aloud(pages):
     """Language, one title, headings in order, and words for every picture [WCAG 2.2: 3.1.1, 2.4.6,
     1.3.1, 1.1.1].
@@ -320,8 +345,8 @@ def test_pages_can_be_read_aloud(pages):
 
 
 def test_pages_fit_a_phone_and_have_contrast(site):
-    """In Chromium: on no page does anything stick out at 360 px, and text stands out in light and
-    in dark, on a page of each kind.
+    """In Chromium: on no page does anything stick out at 360 px, every table begins with two
+    columns in view, and text stands out in light and in dark, on a page of each kind.
     """
     wide, faint = [], []
     with headless_chromium() as browser:
@@ -329,10 +354,14 @@ def test_pages_fit_a_phone_and_have_contrast(site):
         for path in sorted(site.rglob("*.html")):
             tab.goto(path.as_uri())
             wide += [f"{path.name}: {element}" for element in tab.evaluate(STICKS_OUT)]
+            wide += [f"{path.name}: one column, {cell}" for cell in tab.evaluate(ONE_COLUMN)]
             if tab.evaluate("document.documentElement.scrollWidth") > NARROW["width"]:
                 wide.append(path.name)
         tab.add_style_tag(content="article p { min-width: 500px }")
         assert tab.evaluate(STICKS_OUT)  # the check sees a planted one
+        tab.goto((site / "commands.html").as_uri())
+        tab.add_style_tag(content="article td:first-child { min-width: 20rem }")
+        assert tab.evaluate(ONE_COLUMN)
         for scheme in ("light", "dark"):
             tab = browser.new_page(viewport=NARROW, color_scheme=scheme)
             for name in KINDS:
