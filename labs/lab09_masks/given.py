@@ -61,7 +61,7 @@ def fly_kit_pilot(name: str) -> str:
     """One SIMULATED flight of a shipped pilot behind the leader through a climbing right S.
 
     Args:
-        name: "rgb", "mask" or "rgb_mask"; it sees images of 320x240 and nothing else.
+        name: "rgb", "mask" or "rgb_mask"; it sees images of 320x240 and knows its past commands.
 
     Returns:
         What it came to, in words.
@@ -226,7 +226,7 @@ def plot_randomised(pictures: list[Array]) -> None:
 def plot_window(
     said: Mapping[str, Mapping[str, Array]], frames: tuple[int, ...] = (0, 1, 2, 3)
 ) -> None:
-    """A row of pictures for each network, two with and two without a leader, with its masks."""
+    """A row of pictures for each network, four with and four without a leader, with its masks."""
     import matplotlib.pyplot as plt
 
     if not said:

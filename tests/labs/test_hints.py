@@ -10,14 +10,17 @@ import pytest
 
 from falconwing_kit.tools.grading.find import lab_folders
 from falconwing_kit.tools.grading.hints import (
+    Hints,
     Recorder,
     answered,
     load_hints,
+    numbers_of,
     parse_hints,
     raised,
 )
 from falconwing_kit.tools.grading.hints_library import hints_text, hints_texts
 from falconwing_kit.tools.grading.public_checks import (
+    _in_names_of,
     check,
     check_notebook,
     report_lines,
@@ -251,6 +254,33 @@ def test_what_rounding_left_of_a_zero_is_shown_as_zero():
     outcomes = run_checks(here.lab.exercise("map_to_camera"), on_the_wrong_side, hints)
     text = "\n".join(report_lines("map_to_camera", outcomes))
     assert "expected 0 at [0, 0], got" in text and "e-16 at" not in text
+
+
+def test_nan_is_shown_as_nan():
+    """A logarithm of zero is no zero."""
+    hints = Hints(expected={"call": numbers_of(1.5)})
+    assert hints.first_difference("call", numbers_of(np.nan)) == "expected 1.5, got nan"
+
+
+def test_a_hint_names_no_variable_that_the_function_lacks():
+    """`taken` stands in the solution only; `own` stands in the function, `inner` in its helper."""
+
+    def written(x):
+        own = x + 1.0
+
+        def helper(y):
+            inner = y
+            return inner
+
+        return helper(own)
+
+    for place, kept in (("taken", False), ("own", True), ("inner", True), ("own and taken", False)):
+        steps = (f"look at what gives {place}: is a factor missing?", "a cause", "a fix")
+        nudge, *others = _in_names_of(written, steps)
+        assert nudge.endswith(": is a factor missing?") and others == ["a cause", "a fix"]
+        assert nudge.startswith("look at what gives" if kept else "go through your function")
+    steps = ("look at the condition on x: is it turned round?", "a cause", "")
+    assert _in_names_of(written, steps) == steps and _in_names_of(written, ()) == ()
 
 
 def test_an_error_is_the_same_in_the_notebook_and_in_the_sandbox():

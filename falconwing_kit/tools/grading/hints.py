@@ -357,7 +357,7 @@ def _expected(numbers: Numbers) -> str:
 def _show(value: Any) -> str:
     """A number in short; what rounding left of a zero is a zero."""
     if isinstance(value, float):
-        return f"{value:.6g}" if abs(value) >= ROUNDING else "0"
+        return "0" if abs(value) < ROUNDING else f"{value:.6g}"
     return str(value)
 
 

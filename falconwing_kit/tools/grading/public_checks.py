@@ -273,8 +273,9 @@ def check(function: Function, step: int = 1) -> None:
         exercise = lab.exercise(name)
         hints = load_hints(folder).get(name)
         outcomes = run_checks(exercise, _as_called(folder, exercise, function), hints)
+        outcomes = [replace(o, steps=_in_names_of(function, o.steps)) for o in outcomes]
         lines = report_lines(name, outcomes, foreign_modules(function, lab.packages), step)
-        if step < STEPS and any(each.steps for each in outcomes):
+        if step < STEPS and any(each.steps and each.steps[max(step, 1)] for each in outcomes):
             more = ("names the mistake", "says what to change")[max(step, 1) - 1]
             lines.append(f"   check({name}, step={max(step, 1) + 1}) {more}")
         elif (
@@ -338,6 +339,22 @@ def report_lines(
     return lines + [
         f"   ! {name} uses {module}, which the grader does not have" for module in sorted(foreign)
     ]
+
+
+def _in_names_of(function: Function, steps: tuple[str, ...]) -> tuple[str, ...]:
+    """Steps of a hint; without a line of the solution by a name that the function does not have."""
+    code = getattr(function, "__code__", None)
+    named = steps and re.match(r"look at what (?:gives|changes) ([^:]+): (.*)", steps[0], re.S)
+    if not named or code is None:
+        return steps
+    own, inside = set[str](), [code]
+    while inside:
+        part = inside.pop()
+        own |= {*part.co_varnames, *part.co_names, *part.co_cellvars}
+        inside += [each for each in part.co_consts if isinstance(each, types.CodeType)]
+    if set(re.findall(r"[^\W\d]\w*", named[1])) - {"and"} <= own:
+        return steps
+    return (f"go through your function line by line: {named[2]}", *steps[1:])
 
 
 def outcome_lines(outcome: CheckOutcome, step: int = 2) -> list[str]:
