@@ -164,7 +164,7 @@ for mass_g in (150.0, 300.0, 150.0 + 174.0):
 # the weight, by the load factor $n = L / (m g)$. The same wing then needs more speed: lift grows with $V^2$, so the
 # slowest speed of the turn is larger than $V_\mathrm{min}$ by $\sqrt n$.
 #
-# A turn is never flown exactly at the stall. In your course the aircraft keeps a reserve: it flies
+# A turn is never flown exactly at the slowest speed. In your course the aircraft keeps a reserve: it flies
 # `COHORT["speed_reserve"]` times faster than the slowest speed *of the turn*.
 #
 # Write `level_turn`.
@@ -208,7 +208,8 @@ for bank_deg in (15.0, 30.0, 45.0, 60.0):
 #
 # $$2 R + b \cos\phi + 2 c = W$$
 #
-# with the span $b$ = `SPAN` [m]. From part 3, with the reserve $k$ = `COHORT["speed_reserve"]`,
+# with the span $b$ = `SPAN` [m]. From part 3, with the reserve $k$ = `COHORT["speed_reserve"]` ($n = 1/\cos\phi$ makes a
+# sine of the tangent),
 #
 # $$R = \frac{k^2 V_\mathrm{min}^2}{g \sin\phi} \qquad\text{and}\qquad A V_\mathrm{min}^2 = m g, \quad
 # A = \tfrac12 \rho S C$$
@@ -281,7 +282,8 @@ plt.show()
 
 # %% [markdown]
 # *In words: radius grows in proportion to mass; at a bank of 30° the paper's line crosses half the hall's width at
-# 171 g, the level turn with reserve far earlier, and a bank of 60° buys some of it back.*
+# 171 g, the level turn with reserve far earlier, and a bank of 60° buys some of it back. Wing tips and clearance are not
+# in this figure, so the masses of part 4 are smaller.*
 #
 # **Question on the figure.** At which mass does each line leave the hall, and which of the three dotted masses fit, on
 # which line? By how much is the level turn at 30° wider than the paper's, and does that depend on the mass?
@@ -316,12 +318,12 @@ figure_with_sliders(
 )
 
 # %% [markdown]
-# *In words: a circle between two walls 20 m apart, with the path of the centre of gravity, the ring that the wing tips
+# *In words: a circle that needs more than the 20 m between two walls, with the path of the centre of gravity, the ring that the wing tips
 # sweep, and the clearance that your course requires on both sides. A ring that crosses a dashed line does not fit.*
 #
 # ## Questions
 # **Question 1.** The Introduction says that a 300 g aircraft, "e.g. adding a 174 g Jetson Orin", needs 10 m/s and
-# 17.5 m. Do the three numbers fit together? Say what you get for 150 g plus 174 g, and what the paper's 10 m/s and
+# 17.5 m. Do the two masses fit together? Say what you get for 150 g plus 174 g, and which mass the paper's 10 m/s and
 # 17.5 m belong to. And do the listed parts make 150 g?
 
 # %% [markdown] answer="q1"
@@ -331,7 +333,7 @@ figure_with_sliders(
 
 # %% [markdown]
 # **Question 2.** The paper says that 150 g turn within 8.7 m, so the circle fits into a hall 20 m wide. Your level turn
-# with reserve, at the same bank, does not. Name the three reasons, and say which change to the aircraft or to the way
+# with reserve, at the same bank, does not. Name three reasons why yours is wider, and say which change to the aircraft or to the way
 # it is flown you would try first to make the turn fit.
 
 # %% [markdown] answer="q2"
@@ -351,7 +353,8 @@ check_quiz(quiz)
 # ## What you can do now
 # From a scale and a tape measure you can predict whether an aircraft will fly in a room. The kit does the same:
 # `falconwing size --mass-g 150`, and `falconwing_kit/aircraft/sizing.py` is short enough to read tonight. Compare it
-# with your functions: it neglects the reserve, and gives both radii.
+# with your functions: it takes the paper's air, no reserve, no wing tips and no clearance, and gives both radii; the paper's
+# decides whether the turn fits, the level one with `--hold-height`.
 #
 # **With hardware.** Weigh every part of your aircraft to 0.1 g, and measure where it sits. Put your list into
 # `mass_budget`, then hang the aircraft on two fingers under the wing: does it balance where you said? Hand in the list,

@@ -253,8 +253,8 @@ def questions_text(questions: Sequence[Question]) -> str:
     parts = [
         "## Quiz\n"
         f"{len(questions)} questions, marked by machine. Write your answers into the cell below, "
-        "in the place of `None`: a plain number in the unit asked for, or letters in quotes. The "
-        "cell is read, not run, so no formulas. The numbers are those of your course."
+        "in the place of `None`: a plain number in the unit asked for, or letters in quotes. When "
+        "graded, the cell is read, not run, so no formulas. The numbers are those of your course."
     ]
     for each in questions:
         lines = [f"**{each.number}.** {each.text} *({_how(each)})*"]
