@@ -64,6 +64,9 @@ HOPELESS_SHARE = 0.1
 # The first round of fits stops where a step lowers the cost by less; the second continues it.
 COARSE_TOLERANCE = 2.0
 GENERIC_MARGIN = 0.1  # a generic effect must exceed the named ones by this share of their evidence
+# An effect that explains a flight alone must exceed any other alone by this share of its evidence:
+# an error in the formula of the true one may have cost it so much.
+RIVAL_MARGIN = 0.1
 # Share of an effect's delta_chi2 that an error of its formula leaves: (20 %)^2 of it, where the
 # formula is wrong by 20 % of the residuals that the effect causes; (30 %)^2 where the nominal model
 # itself had to be completed.
@@ -205,14 +208,16 @@ def _decide(
     # Named, or ambiguous where others come within "very strong" of the best.
     if ranking[0].delta_bic > threshold:
         best = ranking[0]
-        near = (c for c in ranking[1:] if c.delta_bic > best.delta_bic - VERY_STRONG_EVIDENCE)
-        rivals = tuple(c for c in near if best.effect.name not in c.effect.contains)
+        rivals = _rivals(best, ranking[1:], VERY_STRONG_EVIDENCE)
         verdict, chosen = ("ambiguous", (best, *rivals)) if rivals else ("named", (best,))
         if verdict == "named":
             chosen = _add_further_effects(
                 base, windows, before, best, catalogue, threshold, progress
             )
             ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
+        if verdict == "named" and len(chosen) == 1:
+            rivals = _rivals(chosen[0], ranking[1:], RIVAL_MARGIN * chosen[0].delta_bic)
+            verdict, chosen = ("ambiguous", (*chosen, *rivals)) if rivals else (verdict, chosen)
     # No excess over the baseline, no name: the same effect may be in both flights.
     if (
         chosen
@@ -265,6 +270,14 @@ def _decide(
         windows,
         prepared,
     )
+
+
+def _rivals(
+    best: EffectCandidate, others: Sequence[EffectCandidate], margin: float
+) -> tuple[EffectCandidate, ...]:
+    """The others whose evidence comes within a margin of the best's, but for those it is part of."""
+    near = (c for c in others if c.delta_bic > best.delta_bic - margin)
+    return tuple(c for c in near if best.effect.name not in c.effect.contains)
 
 
 def _evidence_over(
@@ -420,13 +433,7 @@ def _find_further_effect(
     needed = max(threshold, *(_formula_error(base, c, best.effect) for c in chosen))
     if len(chosen) > 1:  # a third effect must show in the chi2 that two leave
         needed = max(needed, VISIBLE_SIGMAS * np.sqrt(2.0 * degrees_of_freedom(windows, last)))
-    rivals = [
-        c
-        for c in others
-        if c.delta_bic > best.delta_bic - VERY_STRONG_EVIDENCE
-        and best.effect.name not in c.effect.contains
-    ]
-    if best.delta_bic <= needed or rivals:
+    if best.delta_bic <= needed or _rivals(best, others, VERY_STRONG_EVIDENCE):
         return None
     is_new = _evidence_of_change(base, windows, best) >= VERY_STRONG_EVIDENCE
     return best if is_new else None

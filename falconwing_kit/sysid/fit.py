@@ -354,23 +354,25 @@ def _predicted_reduction(
 def _bounded_step(
     normal: Array, gradient: Array, damping: float, at: Array, low: Array, high: Array
 ) -> Array:
-    """Damped step within the bounds: parameters that would cross are fixed on them (active set)."""
-    n = len(at)
-    step, active = np.zeros(n), np.zeros(n, dtype=bool)
-    for _ in range(n):
-        move = ~active
-        # Solve for the free ones, given the steps of the active ones.
-        A = normal[np.ix_(move, move)]
-        regularisation = (1e-12 * np.trace(A) / max(len(A), 1) + 1e-30) * np.eye(len(A))
-        # A parameter whose input never moved has no information and takes no step.
-        unknown = np.diag(A) < 1e-12 * max(np.diag(A).max(initial=0.0), 1e-30)
-        regularisation[unknown, unknown] += 1.0
-        A = A + damping * np.diag(np.diag(A)) + regularisation
-        right = gradient[move] + normal[np.ix_(move, active)] @ step[active]
-        step[move] = -np.linalg.solve(A, right)
-        crossing = move & ((at + step < low - 1e-12) | (at + step > high + 1e-12))
-        if not crossing.any():
-            break
-        step[crossing] = np.clip(at + step, low, high)[crossing] - at[crossing]
-        active |= crossing
-    return step
+    """Damped step within the bounds: the minimum over the box, by bounded-variable least squares.
+
+    Parameters that cross are not simply set on their bounds: with the others solved for there, the
+    cost may rise [Stark & Parker 1995].
+    """
+    from scipy.optimize import lsq_linear
+
+    diagonal = np.diag(normal)
+    regularisation = np.full(len(at), 1e-12 * diagonal.sum() / max(len(at), 1) + 1e-30)
+    # A parameter whose input never moved has no information and takes no step.
+    regularisation[diagonal < 1e-12 * max(diagonal.max(initial=0.0), 1e-30)] += 1.0
+    A = normal + np.diag(damping * diagonal + regularisation)
+    step = np.asarray(-np.linalg.solve(A, gradient))
+    if np.all((at + step >= low - 1e-12) & (at + step <= high + 1e-12)):
+        return step
+    # |B x - b|^2 = x'A x + 2 g'x and a constant, each unknown in the size that its own term gives.
+    size = 1.0 / np.sqrt(np.diag(A))
+    value, vector = np.linalg.eigh(A * np.outer(size, size))
+    root = np.sqrt(np.maximum(value, 1e-12))
+    B, b = root[:, None] * vector.T, -(vector.T @ (size * gradient)) / root
+    box = (low - at) / size, (high - at) / size
+    return np.asarray(size * lsq_linear(B, b, box, method="bvls", max_iter=10 * len(at)).x)

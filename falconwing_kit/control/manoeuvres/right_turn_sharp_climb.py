@@ -3,7 +3,7 @@
 from falconwing_kit.control.plan import Manoeuvre, Plan
 
 PLAN = Plan(
-    start=(-16.0, 5.0, 1.0),
+    start=(-2.0, 5.5, 1.2),
     yaw_deg=0.0,
     s=(0.0, 3.0, 7.0, 15.0, 17.0, 19.0, 21.0, 25.0),
     curvature=(0.0, 0.0, 0.1, 0.1, 0.1, 0.05, 0.0, 0.0),
