@@ -49,7 +49,7 @@ MAX_ADDED_EFFECTS = 6  # effects that a nominal model may need
 # Evidence above which an effect of the baseline flight becomes part of the model: little, since
 # what is missing there would be named on the next flight.
 ADDITION_EVIDENCE = 15.0
-ADDITION_TRIALS = 2  # effects fitted in full before the completion ends
+ADDITION_TRIALS = 4  # effects fitted in full before the completion ends
 FORM_STEPS = 6  # of a fit with more terms, from the one without them
 START_TOLERANCE = 1.0  # chi2; of the fits from several starts, the best of which goes on
 ADDITION_TOLERANCE = 2.0  # chi2; the completed model is fitted once more
@@ -373,17 +373,17 @@ def _complete_model(
             result, weak, max(1.0, result.cost / degrees_of_freedom(windows, result))
         )
         needed = SELECTION_PENALTY + ADDITION_EVIDENCE
-        enough = []
+        enough: dict[str, tuple[float, Sensitivities]] = {}  # the best variant of each effect
         for effect in tried:
             gain = reduced.score(effect).delta_chi2 / max(1.0, reduced.inflation(effect))
             gain -= bic_penalty(effect.variant.effect, windows)
             # Within very strong evidence a form from physics comes before one in proportion to a
             # variable, which at another mean of that variable would be another load.
             handicap = VERY_STRONG_EVIDENCE * (effect.variant.effect in GENERIC_LOADS)
-            if gain >= needed:
-                enough.append((gain - handicap, effect))
-        enough.sort(key=lambda pair: -pair[0])
-        for _, effect in enough[:ADDITION_TRIALS]:
+            name, known = effect.variant.effect.name, enough.get(effect.variant.effect.name)
+            if gain >= needed and (known is None or gain - handicap > known[0]):
+                enough[name] = (gain - handicap, effect)
+        for _, effect in sorted(enough.values(), key=lambda pair: -pair[0])[:ADDITION_TRIALS]:
             added = _add_to_base(result, windows, reduced.score(effect), weak)
             inflation = max(1.0, reduced.inflation(effect))
             if added is not None and (result.cost - added.cost) / inflation > needed:

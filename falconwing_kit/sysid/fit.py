@@ -366,6 +366,8 @@ def _bounded_step(
     # A parameter whose input never moved has no information and takes no step.
     regularisation[diagonal < 1e-12 * max(diagonal.max(initial=0.0), 1e-30)] += 1.0
     A = normal + np.diag(damping * diagonal + regularisation)
+    if not (np.isfinite(A).all() and np.isfinite(gradient).all()):
+        return np.zeros(len(at))  # derivatives that overflowed give no direction
     step = np.asarray(-np.linalg.solve(A, gradient))
     if np.all((at + step >= low - 1e-12) & (at + step <= high + 1e-12)):
         return step
