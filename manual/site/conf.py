@@ -147,7 +147,7 @@ def with_line_ends(body: str) -> str:
         return found[1] + "<wbr>" + ",<wbr>".join(pieces)
 
     body = re.sub(
-        r'(<span class="pre">)(--[a-z][a-z0-9-]*)', r'\1<span class="option">\2</span>', body
+        r'(<span class="pre">\[?)(--[a-z][a-z0-9-]*)', r'\1<span class="option">\2</span>', body
     )
     body = re.sub(r'(class="option">--[a-z-]+</span>=)([-\d.]+(?:,[-\d.]+)+)', numbers, body)
     body = re.sub(

@@ -384,6 +384,7 @@ def test_formulas_are_those_of_the_labs():
     assert "<mtext>PRIOR_SIGMA</mtext>" in drawn(r"\text{PRIOR\_SIGMA}")
     brace = drawn(r"\underbrace{x}_{\text{poses}}")
     assert brace.endswith('<mostretchy="true">⏟</mo></munder><mtext>poses</mtext></munder></math>')
+    assert brace.count("<munder>") == 2 and "msub" not in brace
     assert "(</mo>" in drawn(r"\Big(x\Big)") and 'stretchy="false"' not in drawn(r"\Big(x\Big)")
 
 
