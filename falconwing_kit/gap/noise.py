@@ -59,7 +59,7 @@ class PoseNoiseModel:
     def covariance(self, rows: int, interval: float) -> Array:
         """(2, L, L) covariance of position and of attitude over L rows this far apart [s].
 
-        Of a channel whose variance is one.
+        In units of each channel's variance.
         """
         return np.stack([self.half_covariance(half, rows, interval) for half in (0, 1)])
 

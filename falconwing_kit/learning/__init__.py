@@ -1,1 +1,4 @@
-"""learning: the simulator's views -> trained networks. Its files load torch, this one does not."""
+"""learning: the simulator's views -> trained networks.
+
+Its files load torch; importing the package does not.
+"""

@@ -66,7 +66,7 @@ class PreparedTable:
 def prepare(table: FlightTable, sigma: Array | None = None) -> PreparedTable:
     """Make a flight table ready for fitting.
 
-    0. Draw lines between sticks that were read less often than the poses; thin a log faster than
+    0. Interpolate stick positions that were read less often than the poses; thin a log faster than
        30 Hz: every k-th pose, with the mean of the commands until the next.
     1. Cut it at gaps longer than 0.25 s, insert rows for single missing frames, unwrap angles.
     2. Fit a cubic robustly to the poses within 0.3 s of each row: state and derivatives.

@@ -1,7 +1,9 @@
 """vision: images -> whether they are fit for flying, and poses of the camera and its flight.
 
-from falconwing_kit.vision import FrameMonitor
-verdict = FrameMonitor().update(image, t)      # .ssim, .alert, .reason
+    from falconwing_kit.vision import FrameMonitor
+    verdict = FrameMonitor().update(image, t)
+
+gives `verdict.ssim`, `verdict.alert` and `verdict.reason`.
 """
 
 from falconwing_kit.vision.hybrid_state import HybridFlight, HybridSettings, Video, estimate_flight

@@ -93,7 +93,7 @@ def load_monitor_settings(path: str | Path | None = None) -> MonitorSettings:
 
 
 class FrameMonitor:
-    """Monitor of one camera; call `update` in every step, with a new picture or without.
+    """Monitor of one camera; call `update` in every step, with a new image or without.
 
     Args:
         rule: "motion", or "paper" for the paper's rule alone, with its false alarms and misses.
@@ -115,16 +115,16 @@ class FrameMonitor:
         self._good_in_a_row, self._reason = 0, ""
 
     def update(self, image: Pixels | Image | None, t: float) -> FrameVerdict:
-        """Evaluate the newest picture.
+        """Evaluate the newest image.
 
         Args:
             image: (H, W, 3) RGB or (H, W) grey, uint8, 32 pixels a side or more; or an Image, with
-                its own time (limited to t: a wrong clock must not make a picture look new); None
-                where the camera has none. The same picture may be given repeatedly.
+                its own time (limited to t: a wrong clock must not make an image look new); None
+                where the camera has none. The same image may be given repeatedly.
             t: now [s], on any clock that runs forward.
 
         Raises:
-            InputError: the picture is no such array, or time ran backward.
+            InputError: the image is no such array, or time ran backward.
         """
         if require_range("t", t) < self._t:
             raise InputError(

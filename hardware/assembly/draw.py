@@ -37,12 +37,12 @@ from projection import (  # noqa: E402
     shaded,
     triangles,
 )
-from sheet import ARROW, TEXT_PX, Sheet  # noqa: E402
+from sheet import ARROW, Sheet, label_width  # noqa: E402
 from solids import box, rod, tube  # noqa: E402
 
 MANUAL = FOLDER.parents[1] / "manual"
 FIGURES = MANUAL / "figures" / "steps"
-SIZE, WIDE = (900, 600), (1500, 1050)  # of a step's picture and of the exploded view [px]
+SIZE, WIDE = (900, 600), (1500, 900)  # of a step's picture and of the exploded view [px]
 
 
 class Book:
@@ -123,16 +123,15 @@ class Book:
         points += [np.array([begin, end, end]) for begin, end, _ in lengths]
         cloud = np.concatenate([each.reshape(-1, 3) for each in points])
         across = np.array([float(np.ptp(cloud @ axes[0])), float((cloud @ axes[0]).min())])
-        longest = {True: 0, False: 0}  # of the labels left and right
+        sides = {True: 50, False: 50}  # room for the labels left and right
         left = {}
         for part in parts:
             if part.name in named:
                 place = float(np.median(part.mesh.reshape(-1, 3) @ axes[0]))
                 left[part.label] = place < across[1] + across[0] / 2.0
                 side = left[part.label]
-                longest[side] = max(longest[side], len(part.label))
-        sides = [int(0.62 * TEXT_PX * longest[side]) + 50 for side in (True, False)]
-        view = fit(cloud, axes, SIZE, (sides[0], sides[1], int(48 * grow)))
+                sides[side] = max(sides[side], label_width(part.label))
+        view = fit(cloud, axes, SIZE, (sides[True], sides[False], int(48 * grow)))
         image, owner = compose(parts, view)
         sheet = Sheet(image)
         self._arrows(sheet, step, parts, view)
@@ -217,8 +216,12 @@ class Book:
                 mesh = self.mesh(shape.name) + moved
                 label = f"{shape.number} {shape.name}"
                 parts.append(Part(shape.name, label, mesh, added, False, moved))
+        side = max(label_width(part.label) for part in parts)
         view = fit(
-            np.concatenate([part.mesh for part in parts]), axes_of(52.0, 24.0), WIDE, (165, 165, 30)
+            np.concatenate([part.mesh for part in parts]),
+            axes_of(52.0, 24.0),
+            WIDE,
+            (side, side, 30),
         )
         image, owner = shaded(parts, view)
         sheet = Sheet(image)

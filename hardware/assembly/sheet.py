@@ -10,32 +10,46 @@ import numpy as np
 from projection import DARK, NEW, SEE_THROUGH, SMOOTH, Mesh
 
 ARROW = (20, 70, 150)
-TEXT_PX = 25
+TEXT_PX = 30
+
+
+def letters() -> Any:
+    """The labels' font, oversampled."""
+    from matplotlib import get_data_path
+    from PIL import ImageFont
+
+    path = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
+    return ImageFont.truetype(str(path), SMOOTH * TEXT_PX)
+
+
+def label_width(text: str) -> int:
+    """Room that a label beside the drawing takes, with its box and a gap [px]."""
+    return round(letters().getlength(text) / SMOOTH) + 40
 
 
 class Sheet:
     """An image being labelled; coordinates are oversampled pixels."""
 
     def __init__(self, image: Mesh) -> None:
-        from matplotlib import get_data_path
-        from PIL import Image, ImageDraw, ImageFont
+        from PIL import Image, ImageDraw
 
         self.image = Image.fromarray(np.clip(image, 0.0, 255.0).round().astype(np.uint8))
         self.pen = ImageDraw.Draw(self.image)
-        path = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
-        self.font = ImageFont.truetype(str(path), SMOOTH * TEXT_PX)
+        self.font = letters()
 
     def text_box(self, middle: Sequence[float], text: str, colour: tuple[int, ...] = DARK) -> Any:
-        """Words on white, centred; the box that they cover."""
+        """Words on white, centred or as near to it as the image's sides allow; their box."""
         wide = self.pen.textlength(text, font=self.font)
         half = (wide / 2.0 + 5 * SMOOTH, 0.68 * SMOOTH * TEXT_PX)
+        x = min(max(float(middle[0]), half[0] + SMOOTH), self.image.width - half[0] - SMOOTH)
+        middle = (x, float(middle[1]))
         box = (
             middle[0] - half[0], middle[1] - half[1], middle[0] + half[0], middle[1] + half[1]
         )  # fmt: skip
         self.pen.rounded_rectangle(
             box, 6 * SMOOTH, fill=(255, 255, 255), outline=colour, width=SMOOTH
         )
-        self.pen.text(tuple(middle), text, fill=colour, font=self.font, anchor="mm")
+        self.pen.text(middle, text, fill=colour, font=self.font, anchor="mm")
         return box
 
     def pointer(self, begin: Mesh, end: Mesh) -> None:

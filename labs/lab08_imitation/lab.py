@@ -74,7 +74,7 @@ moving_flight("noisy")
 plot_flights(load_flights("clean"), "Eight flights of the expert (simulated)")
 
 # %% [markdown]
-# *Alternative text: eight small pictures of a hall with a blue pad that grows, and below them eight tracks that start
+# *In words: eight small pictures of a hall with a blue pad that grows, and below them eight tracks that start
 # up to 0.6 m beside the centre line and run together onto it within three seconds.*
 #
 # ## 1. What happened before
@@ -250,7 +250,7 @@ for kind in ("clean", "noisy"):
 plot_losses(losses)
 
 # %% [markdown]
-# *Alternative text: losses over 40 epochs on a logarithmic axis; on held-out clean flights the clean pilot (dashed)
+# *In words: losses over 40 epochs on a logarithmic axis; on held-out clean flights the clean pilot (dashed)
 # ends several times lower than the noisy pilot (solid).*
 #
 # **Question on the figure.** How many times lower is the clean pilot's held-out loss at the end? By this figure it is
@@ -365,7 +365,7 @@ for kind, result in results.items():
 plot_drift(tracks, results)
 
 # %% [markdown]
-# *Alternative text: three panels with twenty tracks each, seen from above; the expert's and the noisy pilot's run
+# *In words: three panels with twenty tracks each, seen from above; the expert's and the noisy pilot's run
 # onto the pad, many of the clean pilot's leave it to both sides; dots mark landings and crosses mark failures.*
 #
 # **Question on the figure.** How many of 20 does each pilot land? What do the tracks do once they are off the line?

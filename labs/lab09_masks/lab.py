@@ -145,7 +145,7 @@ behind = ellipsoid_mask(pose, CENTRE_BODY, HALF_AXES, FOCAL_PX, depth)[None]
 plot_labels(board, behind, "Behind the board", frames=(0,))
 
 # %% [markdown]
-# *Alternative text: six small views of a hall with a white model aircraft; a blue ellipse sits on it, inside a
+# *In words: six small views of a hall with a white model aircraft; a blue ellipse sits on it, inside a
 # somewhat larger dashed outline; in the last view a marker board cuts both off on one side.*
 #
 # "Exact" is the renderer's own mask: pixels that the leader's Gaussians cover by half or more. At this size it draws
@@ -301,7 +301,7 @@ rng, views = np.random.default_rng(1), load_views("train")
 plot_randomised([randomize(views["images"][i], views["masks"][i], **draw(rng)) for i in range(6)])
 
 # %% [markdown]
-# *Alternative text: six views of the hall with the leader, each with a bright barred panel pasted in at random behind
+# *In words: six views of the hall with the leader, each with a bright barred panel pasted in at random behind
 # it and with another brightness.*
 #
 # ## 5. Train twice, look elsewhere
@@ -361,7 +361,7 @@ for name, kinds in said.items():
 plot_window(said)
 
 # %% [markdown]
-# *Alternative text: two rows of eight views towards windows, four with the leader and four without; pink outlines
+# *In words: two rows of eight views towards windows, four with the leader and four without; pink outlines
 # show what each network marks; the upper row's network also marks windows, the lower row's none here.*
 #
 # **Question on the figure.** Compare both networks by IoU and false alarms. What got better by randomising, and what

@@ -195,7 +195,7 @@ for name, jitter_us in (("by the timer", 0.0), ("by a program", 4.0)):
 plot_frame(edges, errors_us)
 
 # %% [markdown]
-# *Alternative text: left, a wire at rest with five short low pulses in the first 7 ms and then the pause, the four
+# *In words: left, a wire at rest with five short low pulses in the first 7 ms and then the pause, the four
 # slots between them labelled in microseconds; right, slot errors as a histogram, within half a microsecond for the
 # timer and spread over some 15 us on both sides for the program.*
 #
@@ -377,7 +377,7 @@ for command_us, engage, pilot_us in scene_of_faults():
 plot_takeover(scene_of_faults(), states)
 
 # %% [markdown]
-# *Alternative text: state over time; it goes from SAFE to ACTIVE, stays there through a short dropout, goes to LOST in
+# *In words: state over time; it goes from SAFE to ACTIVE, stays there through a short dropout, goes to LOST in
 # a long one, stays LOST although commands come again, goes to SAFE when the host disengages, stays SAFE while it asks
 # with the wrong throttle, goes to ACTIVE with the right one, and drops to SAFE in the frame in which the pilot moves a
 # stick, and stays there.*
@@ -594,7 +594,7 @@ ssim, alarm = ssim_monitor(images, 0.7, 5)
 plot_monitor(ssim, alarm, parts, 0.7)
 
 # %% [markdown]
-# *Alternative text: SSIM over time with the parts of the video named below; it is high in straight flight, falls in
+# *In words: SSIM over time with the parts of the video named below; it is high in straight flight, falls in
 # the turn, falls to about zero while the signal is lost, and is exactly one while the picture is frozen; crosses mark
 # noise alarms and squares mark frozen alarms.*
 

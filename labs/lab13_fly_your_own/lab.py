@@ -317,14 +317,14 @@ print(f"{words}: {points:.1f} points")
 # About one command in thirty is lost; the servos hold the one before for 0.05 s, which no curve of the flight shows.
 
 # %% [markdown]
-# The labs that this flight did not need have an opinion on it, too. (Lab 9 has none: there is no leader to see.)
+# The labs that this flight did not need can be applied to it, too. (Lab 9 cannot: there is no leader to see.)
 
 # %%
 print(*given.second_opinions(parts, filmed()[0]), sep="\n")
 
 # %% [markdown]
 # ## 6 What was hidden?
-# Somebody has worked on the aircraft over night. Fly it again, as it is now, and compare with the calm flight: your
+# Somebody has worked on the aircraft over night. Fly it again, as it is now, and compare with the baseline flight: your
 # lab 12 says which of four candidates explains the difference, or none.
 
 # %% figure="gap"

@@ -6,12 +6,14 @@ stay and its path is printed beside them. A link to nothing is an error with fil
 is executed: outputs of the labs come from a cache that `falconwing labs selftest --outputs` wrote.
 """
 
+import ast
 import base64
 import html
 import json
 import os
 import re
 import shutil
+import struct
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -41,6 +43,13 @@ PLACES = {
     "CHANGELOG.md": "changelog.md",
     "LICENSES.md": "licences.md",
 }
+KIT = "falconwing_kit"
+# On the page of a package that lists no public names.
+FILES = """
+Its names are imported from its files;
+[the reading path](reading.md#every-file-one-line-each) has a line on each.
+"""
+PICTURES = {"image/png", "image/gif"}
 MADE = {"manual/site/manual.pdf"}  # by the build, beside the pages that name it
 _FENCE = re.compile(r"^(```+|~~~+).*?^\1[ \t]*$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(
@@ -125,11 +134,15 @@ class Stage:
         named = {*PLACES.values()} | {f"howto/{p.name}" for p in (SITE / "howto").glob("*.md")}
         others = [p for p in self.places.values() if p.startswith("howto/") and p not in named]
         self.list("howto/index.md", [Path(p).stem for p in others])
-        rooms = [path.parent.name for path in (self.root / "falconwing_kit").glob("*/__init__.py")]
-        rooms = sorted(set(rooms) - {"tools"})
-        for room in rooms:
-            self.put(f"api/{room}.md", api_page(room))
-        self.list("api/index.md", rooms)
+        faces = {path.parent.name: path for path in (self.root / KIT).glob("*/__init__.py")}
+        packages = sorted(faces.keys() - {"tools"})
+        for name in packages:
+            self.put(f"api/{name}.md", api_page(name, faces[name]))
+        lines = [f"- [{KIT}.{name}]({name}.md): {purpose(faces[name])}" for name in packages]
+        self.put(
+            "api/index.md", self.page("manual/site/api/index.md") + "\n" + "\n".join(lines) + "\n"
+        )
+        self.list("api/index.md", packages)
         if self.problems:
             raise RuntimeError("\n".join(self.problems))
 
@@ -191,7 +204,10 @@ class Stage:
         url = self.settings.file_url(target, folder=(self.root / target).is_dir())
         if url:
             return f"[{text}]({url})"
-        return text if target in text else f"{text} (`{target}`)"
+        path = f"`{target}`"
+        if "/" in text and text.strip("`") in target:
+            return path
+        return text if target in text else f"{text} ({path})"
 
     def lab(self, folder: Path) -> str:
         """A lab's notebook as students get it, with the outputs of the cache below its cells."""
@@ -205,8 +221,10 @@ class Stage:
             if cell["cell_type"] == "markdown":
                 cell["source"] = self.rewrite(text, source, f"labs/{name}.ipynb")
             elif "exercise" not in cell["metadata"]:
-                cell["outputs"] = known.get(text, [])
+                cell["outputs"] = [*map(sized, known.get(text, []))]
                 cell["metadata"]["mystnb"] = {"image": image_of(cell)}
+                if "check" in cell["metadata"]:  # sentences, which may go on in the next line
+                    cell["metadata"]["tags"] = [*cell["metadata"].get("tags", []), "check"]
         notebook["cells"].insert(1, markdown_cell(self.lab_head(folder, bool(known))))
         return json.dumps(notebook)
 
@@ -257,12 +275,38 @@ def markdown_cell(text: str) -> dict[str, Any]:
 
 
 def image_of(cell: dict[str, Any]) -> dict[str, str]:
-    """Words and width of a cell's picture: a film has its own."""
+    """Words, width and class of a cell's picture: a film has its own words and width."""
+    found = {"alt": drawn_by(cell["metadata"])}
     for output in cell["outputs"]:
-        for said in output.get("metadata", {}).values():
-            width = {"width": f"{said['width']}px"} if "width" in said else {}
-            return {"alt": said.get("alt") or drawn_by(cell["metadata"]), **width}
-    return {"alt": drawn_by(cell["metadata"])}
+        for kind, said in output.get("metadata", {}).items():
+            if "alt" in said:
+                found |= {"alt": said["alt"]}
+                found |= {"width": f"{said['width']}px"} if "width" in said else {}
+            if kind in PICTURES and is_wide(output.get("data", {}).get(kind, "")):
+                found["classes"] = "wide"
+    return found
+
+
+def sized(output: dict[str, Any]) -> dict[str, Any]:
+    """A cell's output, in which a wide picture without a width has that of the text on a laptop."""
+    for kind in PICTURES & output.get("data", {}).keys():
+        if is_wide(output["data"][kind]):
+            metadata = output.get("metadata", {})
+            return {
+                **output,
+                "metadata": {**metadata, kind: {"width": 736} | metadata.get(kind, {})},
+            }
+    return output
+
+
+def is_wide(picture: str | list[str]) -> bool:
+    """Whether a PNG or GIF, in base64, is too large or too wide to be read across a phone."""
+    data = base64.b64decode("".join(picture))
+    form, at = ("<HH", 6) if data[:3] == b"GIF" else (">II", 16)
+    if len(data) < at + struct.calcsize(form):
+        return False
+    width, height = struct.unpack_from(form, data, at)
+    return width > 600 and (width > 900 or width > 1.9 * height)
 
 
 def drawn_by(metadata: dict[str, Any]) -> str:
@@ -271,13 +315,21 @@ def drawn_by(metadata: dict[str, Any]) -> str:
     return f"Drawn by the cell above{': figure ' + name if name else ''}"
 
 
-def api_page(room: str) -> str:
-    """The public names of a room, described by their docstrings."""
-    module = f"falconwing_kit.{room}"
+def purpose(face: Path) -> str:
+    """First paragraph of a package's docstring, without the package's name before it."""
+    text = ast.get_docstring(ast.parse(face.read_text(encoding="utf-8"))) or ""
+    words = " ".join(text.split("\n\n")[0].split())
+    return words.removeprefix(f"{face.parent.name}: ").replace("_", "\\_")
+
+
+def api_page(name: str, face: Path) -> str:
+    """The public names of a package, described by their docstrings."""
+    module = f"{KIT}.{name}"
     title = module.replace(".", ".\u200b")  # where a phone may end the line
+    files = "" if "__all__" in face.read_text(encoding="utf-8") else FILES
     return (
         f"# {title}\n\n```{{eval-rst}}\n.. automodule:: {module}\n"
-        "   :members:\n   :imported-members:\n```\n"
+        f"   :members:\n   :imported-members:\n```\n{files}"
     )
 
 

@@ -1,7 +1,7 @@
 """The builder's camera above the wing: landings of both pilots by images, with the simulator's
 camera at the nose, with the builder's, and with the propeller's blades drawn into its image.
 
-    OMP_NUM_THREADS=1 python -m pytest -m benchmark tests/benchmarks/bench_builder_camera.py
+    OMP_NUM_THREADS=1 python -m pytest -m benchmark -s tests/benchmarks/bench_builder_camera.py
 
 Trials 0 to 9 of the frozen list 0. Blades: two, black, sharp, at an angle drawn for each frame; a
 rolling shutter's bends and motion blur are not modelled, neither are wing and cowl. The table is
@@ -23,7 +23,7 @@ from falconwing_kit.scene import load_scene
 from falconwing_kit.tools.trials.trials import TrialSettings, fly_trial, summarise_trials
 from tests.benchmarks.bench_pose_pilot import Changed
 
-pytestmark = pytest.mark.benchmark
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 CHORD = 0.014  # of a blade [m], estimate
 TRIALS = 10
 

@@ -444,6 +444,20 @@ def test_pictures_are_what_the_command_makes(book):
     assert differing(pixels(content), pixels((PICTURES / "exploded.png").read_bytes())) < 0.005
 
 
+@pytest.mark.parametrize("x", [0.0, 450.0, 900.0])
+def test_words_near_a_side_of_a_picture_stay_whole(x):
+    """By geometry: centred where there is room, else against the side; the box is in the image."""
+    scale = draw.SMOOTH
+    sheet = draw.Sheet(np.full((600 * scale, 900 * scale, 3), 255.0))
+    left, _, right, _ = sheet.text_box((x * scale, 300.0 * scale), "36.0 mm to the ridge")
+    assert 0.0 <= left < right <= 900 * scale
+    assert right - left == pytest.approx(
+        scale * (draw.label_width("36.0 mm to the ridge") - 30), abs=scale
+    )
+    if x == 450.0:
+        assert (left + right) / 2.0 == pytest.approx(450 * scale)
+
+
 def test_every_picture_shows_its_steps_parts_in_colour():
     """Orange pixels, at least one in a thousand; of the white marker black ones."""
     for step in STEPS:

@@ -5,11 +5,13 @@ The pages in a browser are those of one build for all tests here; without Sphinx
 and fail in CI.
 """
 
+import base64
 import importlib.util
 import json
 import os
 import re
 import resource
+import struct
 import subprocess
 import sys
 from functools import cache
@@ -267,16 +269,106 @@ def test_docstrings_keep_their_equations_and_characters():
     assert lines == [
         "Lift of ``wing_area`` \\* q.",
         "",
-        "::",
+        ".. code-block:: text",
+        "   :class: formula",
         "",
-        "    L = q S C   [paper]",
-        "    D = q S k",
+        "   L = q S C   [paper]",
+        "   D = q S k",
         "",
         "v\\_ or \\|v\\|",
         "",
     ]
     array = "~numpy.ndarray[tuple[~typing.Any, ...], ~numpy.dtype[~numpy.float64]]"
     assert conf.short(f"(mass: {array}, a: ~kit.Airframe)") == "(mass: Array, a: Airframe)"
+
+
+def test_programs_of_docstrings_stay_programs_and_prose_stays_prose():
+    """By hand: indented lines before the sections are code; a sentence with `=` is a sentence."""
+    lines = ["What.", "", "    a = f(x)", "    b = g(a)", "", "The sum is 137 + 9 + 5 = 151 g."]
+    conf.plain_docstring(None, "function", "f", len, None, lines)
+    assert lines[2:7] == [
+        ".. code-block:: text", "   :class: formula", "", "   a = f(x)", "   b = g(a)"
+    ]  # fmt: skip
+    assert lines[8:] == ["The sum is 137 + 9 + 5 = 151 g.", ""]
+
+
+@pytest.mark.parametrize(
+    ("what", "lines"),
+    [
+        ("property", ["Whether it is exact: of no assumed shape."]),
+        ("function", ["Mean.", "", "Returns:", "    mean and slope: over the step."]),
+    ],
+)
+def test_words_before_a_colon_are_not_taken_for_a_type(what, lines):
+    """Napoleon would print them as "TYPE"; without a colon it cannot, and afterwards it is back."""
+    words = list(lines)
+    conf.plain_docstring(None, what, "f", len, None, lines)
+    assert [line for line in lines if ": " in line] == []
+    conf.colons_again(None, what, "f", len, None, lines)
+    assert [line for line in lines if line] == [line for line in words if line]
+
+
+def test_signatures_show_no_long_default():
+    """By hand: commas and brackets within strings and lists do not end a parameter."""
+    head = "(a: tuple[int, ...] = (), b: str = 'x, (y', "
+    long = f"c: dict[str, int] = <factory>, d: X = X('a long text, {40 * 'z'}'), *, e=None)"
+    shown = "c: dict[str, int] = ..., d: X = ..., *, e=None)"
+    assert conf.short_defaults(head + long) == head + shown
+    assert conf.short_defaults("()") == "()" and conf.short_defaults(None) is None
+
+
+def test_lines_of_a_page_end_where_they_may():
+    """By hand: after a slash of a path, not in an arrow, an option or a short name."""
+
+    def code(text):
+        return f'<code class="docutils literal"><span class="pre">{text}</span></code>'
+
+    path = "falconwing_kit/core/frames.py"
+    found = conf.with_line_ends(
+        f"<p>in -&gt; out {code('lab.py')} {code(path)} {code('--out')}</p>"
+    )
+    assert '<span class="option">-&gt;</span> out' in found
+    assert 'class="short docutils literal"><span class="pre">lab.py<' in found
+    assert "falconwing_<wbr>kit/<wbr>core/<wbr>frames.py" in found
+    assert re.sub(r"<[^>]+>", "", found) == f"in -&gt; out lab.py {path} --out"
+    book = '<code data-lang="a_long_word_of_an_attribute">run case08_flight_of_a_day.csv</code>'
+    assert conf.with_line_ends(book) == book.replace(
+        "case08_flight_of_a_day", "case08_<wbr>flight_<wbr>of_<wbr>a_<wbr>day"
+    )
+    three = conf.with_line_ends(code("--camera-at=0.036,0,-0.075"))
+    assert '<wbr><span class="option">-0.075</span>' in three
+
+
+def test_wide_pictures_scroll_on_a_phone():
+    """The first bytes of a PNG and of a GIF by their specifications, of sizes made up here."""
+
+    def png(width, height):
+        head = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", width, height)
+        return base64.b64encode(head).decode()
+
+    film = base64.b64encode(b"GIF89a" + struct.pack("<HH", 840, 360)).decode()
+    assert (
+        stage.is_wide(png(1111, 351)) and stage.is_wide(film) and not stage.is_wide(png(351, 1111))
+    )
+    assert not stage.is_wide(png(640, 480)) and not stage.is_wide(png(160, 20))
+    output = {"output_type": "display_data", "data": {"image/png": png(1111, 351)}}
+    assert stage.sized(output)["metadata"] == {"image/png": {"width": 736}}
+    cell = {"metadata": {"figure": "gap"}, "outputs": [stage.sized(output)]}
+    assert stage.image_of(cell) == {"alt": "Drawn by the cell above: figure gap", "classes": "wide"}
+
+
+def test_packages_are_listed_and_none_has_an_empty_page(pages):
+    """A phone shows no sidebar; the packages by their folders, and no default of pages' length."""
+    packages = {p.parent.name for p in (ROOT / "falconwing_kit").glob("*/__init__.py")} - {"tools"}
+    listed = {a.get("href", "") for a, parents in pages["api/index.html"].all("a")}
+    assert {f"{name}.html" for name in packages} <= listed
+    assert "its files; the reading path has a line" in " ".join(
+        pages["api/learning.html"].text.split()
+    )
+    signatures = [pages[f"api/{name}.html"].text for name in packages]
+    for text in signatures:
+        for word in ("<factory>", "<function", "Alias for field number", "ndarray[tuple"):
+            assert word not in text
 
 
 def test_formulas_are_those_of_the_labs():
@@ -289,6 +381,11 @@ def test_formulas_are_those_of_the_labs():
     assert "<mn>1</mn><mi>W</mi></mfrac>" in drawn(r"\tfrac1W \sum w_i")
     accent = '<mover><mi>u</mi><mostretchy="false">ˆ</mo></mover>'
     assert f"<msub>{accent}<mi>i</mi></msub>" in drawn(r"\hat u_i")
+    assert "<mtext>PRIOR_SIGMA</mtext>" in drawn(r"\text{PRIOR\_SIGMA}")
+    brace = drawn(r"\underbrace{x}_{\text{poses}}")
+    assert brace.endswith('<mostretchy="true">⏟</mo></munder><mtext>poses</mtext></munder></math>')
+    assert brace.count("<munder>") == 2 and "msub" not in brace
+    assert "(</mo>" in drawn(r"\Big(x\Big)") and 'stretchy="false"' not in drawn(r"\Big(x\Big)")
 
 
 def test_site_is_small_and_its_build_cheap(site):
