@@ -275,7 +275,7 @@ def _decide(
 def _rivals(
     best: EffectCandidate, others: Sequence[EffectCandidate], margin: float
 ) -> tuple[EffectCandidate, ...]:
-    """The others whose evidence comes within a margin of the best's, but for those it is part of."""
+    """The others within a margin of the best's evidence, but for those that it is part of."""
     near = (c for c in others if c.delta_bic > best.delta_bic - margin)
     return tuple(c for c in near if best.effect.name not in c.effect.contains)
 
@@ -547,7 +547,8 @@ def _fit_effect(
             iterations=15,
             tolerance=tolerance,
         )
-    gained = (before.cost - result.cost) / base.reduced_chi2
+    # At size zero the effect is the model without it: a fit that ended worse has found nothing.
+    gained = max(before.cost - result.cost, 0.0) / base.reduced_chi2
     found = {p.name: result.model.values[p.name] for p in effect.parameters}
     delta_bic = gained / base.inflation.get(effect.name, 1.0) - bic_penalty(effect, windows)
     return EffectCandidate(

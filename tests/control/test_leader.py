@@ -24,14 +24,16 @@ RECORDED = {
     "figure_eight": "1e9d68e22cecd8fe",
     "random_waypoints": "2a0c97b6e9558ee6",
 }
+# The climb was moved where no box of the hall hides the leader, and flies the same there.
+MOVED = {"right_turn_sharp_climb": (14.0, 0.5, 0.2)}
 SLALOM = Plan((-16.0, 0.0, 2.0), 0.0, (0.0, 5.0, 10.0, 20.0), (0.0, 0.05, -0.05, 0.0), (0.0,) * 4)
 
 
 def states_digest(name):
-    """Digest of the states of seed 3; + 0.0 turns minus zero into zero."""
-    return hashlib.sha256((np.round(leader_path(name, 3).states, 6) + 0.0).tobytes()).hexdigest()[
-        :16
-    ]
+    """Digest of the states of seed 3 at the recorded place; + 0.0 turns minus zero into zero."""
+    states = leader_path(name, 3).states.copy()
+    states[:, :3] -= MOVED.get(name, (0.0, 0.0, 0.0))
+    return hashlib.sha256((np.round(states, 6) + 0.0).tobytes()).hexdigest()[:16]
 
 
 @pytest.fixture(scope="module")

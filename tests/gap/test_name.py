@@ -11,6 +11,7 @@ import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.core.flight_table import slice_time
+from falconwing_kit.gap import baseline as baseline_module
 from falconwing_kit.gap import name as name_module
 from falconwing_kit.gap.baseline import VERY_STRONG_EVIDENCE, identify_baseline
 from falconwing_kit.gap.name import (
@@ -226,6 +227,44 @@ def test_a_completed_base_makes_no_error_of_wind_or_time(found, other, plain, co
         )
         error = name_module._formula_error(base, candidate, EFFECTS[other])
         assert error == pytest.approx(1000.0 * share**2)
+
+
+def test_rivals_are_those_within_the_margin():
+    """By hand: of 100, 91 and 89 the second is within 10 of the first; a drag that is part of a
+    flap is no rival of the flap, whatever its evidence.
+    """
+    first, second, third = (
+        EffectCandidate(EFFECTS[name], evidence, evidence, {}, None)
+        for name, evidence in (("wind", 100.0), ("flap", 91.0), ("stall", 89.0))
+    )
+    assert name_module._rivals(first, [second, third], 10.0) == (second,)
+    larger = replace(second, effect=replace(second.effect, contains=("wind",)))
+    assert name_module._rivals(first, [larger], 10.0) == ()
+
+
+def test_the_completion_tries_four_effects_each_in_its_best_form(monkeypatch):
+    """By the rule: two forms of a delay are one trial, the better one; the fifth is not tried."""
+    names = ("wind", "control_delay", "control_delay", "flap", "stall", "mass_change", "cg_shift")
+    gains = dict(enumerate((900.0, 700.0, 800.0, 600.0, 500.0, 400.0, 1.0)))
+    tried = [
+        SimpleNamespace(variant=SimpleNamespace(effect=EFFECTS[name]), number=k)
+        for k, name in enumerate(names)
+    ]
+    scores = SimpleNamespace(
+        score=lambda effect: SimpleNamespace(delta_chi2=gains[effect.number], effect=effect),
+        inflation=lambda effect: 1.0,
+    )
+    monkeypatch.setattr(baseline_module, "sensitivities", lambda *_: tried)
+    monkeypatch.setattr(baseline_module, "SchurComplement", SimpleNamespace(of=lambda *_: scores))
+    fitted = []
+    monkeypatch.setattr(
+        baseline_module, "_add_to_base",
+        lambda result, windows, score, weak: fitted.append(score.effect.number),
+    )  # fmt: skip
+    base = own_base()
+    result, _ = baseline_module._complete_model(base.result, base.windows, (), base.weak, print)
+    assert result is base.result
+    assert fitted == [0, 2, 3, 4]
 
 
 def test_no_full_fit_far_below_the_best(monkeypatch):

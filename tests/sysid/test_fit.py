@@ -1,11 +1,12 @@
 """The fit against known truth, SciPy's optimiser on the same problem, and dense linear algebra."""
 
+import sys
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
 from falconwing_kit.aircraft.model import FORMS, paper_model, rates_model
 from falconwing_kit.sysid.fit import Prior, fit, fit_initial_states, sqrt_huber_weight
@@ -19,6 +20,7 @@ from falconwing_kit.sysid.shooting import (
 )
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 
+fit_module = sys.modules["falconwing_kit.sysid.fit"]  # the package's `fit` is the function
 SIGMA = np.array([MARKER[0]] * 3 + [MARKER[1]] * 3)
 SMALL = ("L_da", "M_de", "M_alpha", "N_dr")  # free in the small problems
 
@@ -158,6 +160,38 @@ def test_bounds_hold_and_the_rest_settles_as_in_scipy(small):
     assert found.model.values["M_alpha"] == high
     assert found.cost == pytest.approx(cost, rel=1e-5)
     assert {n: found.model.values[n] for n in SMALL} == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_bounded_step_is_the_minimum_over_the_box(seed):
+    """Convex quadratics in boxes that hold the start: as L-BFGS-B has them, and never worse than no
+    step at all, from which a fit would conclude that it has ended.
+    """
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(9, 6)) * np.geomspace(1.0, 100.0, 6)
+    normal, gradient = root.T @ root, root.T @ rng.normal(size=9)
+    at = rng.normal(size=6)
+    low, high = at - rng.uniform(0.0, 0.02, 6), at + rng.uniform(0.0, 0.02, 6)
+    step = fit_module._bounded_step(normal, gradient, 0.0, at, low, high)
+
+    def reduction(s):
+        return -2.0 * gradient @ s - s @ normal @ s
+
+    peer = minimize(
+        lambda s: -reduction(s), np.zeros(6), jac=lambda s: 2.0 * (gradient + normal @ s),
+        bounds=list(zip(low - at, high - at, strict=True)), method="L-BFGS-B",
+        options={"ftol": 1e-15, "gtol": 1e-10},
+    )  # fmt: skip
+    assert np.all((at + step >= low - 1e-9) & (at + step <= high + 1e-9))
+    assert reduction(step) > 0.0
+    assert reduction(step) == pytest.approx(-peer.fun, rel=1e-6)
+
+
+def test_derivatives_that_overflowed_give_no_step():
+    """Not an exception of the linear algebra."""
+    normal = np.diag([1.0, np.nan])
+    step = fit_module._bounded_step(normal, np.ones(2), 0.0, np.zeros(2), -np.ones(2), np.ones(2))
+    assert np.array_equal(step, [0.0, 0.0])
 
 
 def test_a_prior_acts_as_in_scipy(small):
