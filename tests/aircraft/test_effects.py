@@ -253,8 +253,8 @@ def test_at_amplitude_zero_nothing_is_there(effect):
     "effect", [e for e in CATALOGUE if e.parameters and not e.measurement_map], ids=lambda e: e.name
 )
 def test_every_parameter_acts(effect):
-    """One that changes nothing was forgotten in the formula. Each moves a load, a wind or a stick
-    by more than 1e-4.
+    """One that changes nothing was forgotten in the formula. Each, larger by a twentieth or by 0.05,
+    moves a load, a wind or a stick by more than 1e-4.
     """
     model, air = rates_model().with_effect(effect), flows_at_random()
 
@@ -268,7 +268,8 @@ def test_every_parameter_acts(effect):
         ]
 
     for p in effect.parameters:
-        moved = everything(model.with_values({p.name: model.values[p.name] + 0.05}).K)
+        more = 0.05 * max(1.0, model.values[p.name])
+        moved = everything(model.with_values({p.name: model.values[p.name] + more}).K)
         change = [np.abs(a - b).max() for a, b in zip(moved, everything(model.K), strict=True)]
         assert max(change) > 1e-4, p.name
 
@@ -686,3 +687,20 @@ def test_a_standing_effect_is_the_effect_under_other_names(effect, three_windows
     assert not np.allclose(flown[0], residuals(rates_model(), three_windows, start), atol=1e-6)
     both = with_effect.with_effect(standing)
     assert len(set(both.names)) == len(both.names)
+
+
+def test_a_stream_outdoors_is_looked_for_at_the_size_of_the_area_flown():
+    """By hand: over 240 x 120 m a grid of 7 x 4 centres, 240 / 6 = 40 m apart and as wide; in a
+    hall none. At one radius from its centre exp(-1/2) of it blows.
+    """
+    wide, _ = (effect for effect in CATALOGUE if effect.name == "fan_jet")
+    points = wide.scan(np.array([-100.0, 0.0]), np.array([140.0, 120.0]))
+    assert len(points) == 28 and {p["stream_radius"] for p in points} == {40.0}
+    assert {p["stream_at_x"] for p in points} == {-100.0, -60.0, -20.0, 20.0, 60.0, 100.0, 140.0}
+    assert {p["stream_at_y"] for p in points} == {0.0, 40.0, 80.0, 120.0}
+    assert wide.scan(np.array([-16.0, -8.0]), np.array([16.0, 8.0])) == []
+    K = SimpleNamespace(
+        stream_x=4.0, stream_y=-2.0, stream_at_x=10.0, stream_at_y=20.0, stream_radius=40.0
+    )
+    x, y, z = wide.wind_field(10.0, 60.0, 0.0, 0.0, K)
+    assert (x, y, z) == pytest.approx((4.0 * np.exp(-0.5), -2.0 * np.exp(-0.5), 0.0))
