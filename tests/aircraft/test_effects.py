@@ -253,8 +253,8 @@ def test_at_amplitude_zero_nothing_is_there(effect):
     "effect", [e for e in CATALOGUE if e.parameters and not e.measurement_map], ids=lambda e: e.name
 )
 def test_every_parameter_acts(effect):
-    """One that changes nothing was forgotten in the formula. Each, a twentieth larger or 0.05, moves
-    a load, a wind or a stick by more than 1e-4.
+    """One that changes nothing was forgotten in the formula. Each, a twentieth or 0.05 larger,
+    moves a load, a wind or a stick by more than 1e-4.
     """
     model, air = rates_model().with_effect(effect), flows_at_random()
 
