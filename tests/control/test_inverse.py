@@ -45,7 +45,7 @@ def test_wind_triangle_by_hand():
 
 def test_winds_add_up_and_fall_off_with_the_jet():
     """A uniform wind, and a jet whose speed is e^(-1/2) one radius beside its centre."""
-    jet = next(e for e in CATALOGUE if e.name == "fan_jet")
+    _, jet = (e for e in CATALOGUE if e.name == "fan_jet")  # outdoors, in a hall
     model = with_effect("wind", wind_x=0.5, wind_y=-1.0).with_effect(jet)
     model = model.with_values(
         {"jet_x": 2.0, "jet_y": 0.0, "jet_at_x": 3.0, "jet_at_y": 1.0, "jet_radius": 2.0}
