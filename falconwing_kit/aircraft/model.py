@@ -164,8 +164,10 @@ class Model:
 
     def with_terms(self, *terms: Term | WindTerm) -> "Model":
         """The same model with terms added at their starting values."""
-        present = {t.name for t in self.terms} | {w.name for w in self.winds}
-        twice = [t.name for t in terms if t.name in present]
+        # Two forms of an effect have one name, and parameters of their own.
+        mine: tuple[Term | WindTerm, ...] = (*self.terms, *self.winds)
+        present = {(t.name, t.parameters) for t in mine}
+        twice = [t.name for t in terms if (t.name, t.parameters) in present]
         if twice:
             raise InputError(f"term {twice[0]!r}: expected a new term, got one of the model")
         known = set(self.names)

@@ -166,9 +166,15 @@ def read_model(
             f"{Path(path).name}: form: expected one of {', '.join(FORMS)}, got {file.form!r}"
         )
     terms = _look_up(file.terms, {t.name: t for t in known}, "terms", path)
-    # Two effects may share a name: the one whose parameters are all in the file is taken.
+    # Forms of an effect share its name: those whose parameters are all in the file are taken.
     by_fit = sorted(catalogue, key=lambda e: all(p.name in file.parameters for p in e.parameters))
-    effects = _look_up(file.effects, {e.name: e for e in by_fit}, "effects", path)
+    forms = {e.name: [form for form in by_fit if form.name == e.name] for e in by_fit}
+    _look_up(file.effects, {name: several[-1] for name, several in forms.items()}, "effects", path)
+    effects = [
+        form
+        for name in dict.fromkeys(file.effects)
+        for form in forms[name][-file.effects.count(name) :]
+    ]
     base = FORMS[file.form]()
     in_base = {t.name for t in base.terms}
     model = base.with_terms(*(term for term in terms if term.name not in in_base))

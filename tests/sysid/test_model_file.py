@@ -108,6 +108,20 @@ def test_every_effect_comes_back(tmp_path, effect):
     assert (read.effects, read.terms, read.winds) == (model.effects, model.terms, model.winds)
 
 
+@pytest.mark.parametrize("name", ["fan_jet", "camera_tilt"])
+def test_two_forms_of_an_effect_come_back_together(tmp_path, name):
+    """A jet in a hall and a stream outdoors, or two tilts of the camera, in one model."""
+    model = rates_model()
+    for size, form in enumerate(e for e in CATALOGUE if e.name == name):
+        model = model.with_effect(form)
+        model = model.with_values({p.name: 0.01 * (1 + size) for p in form.amplitudes})
+    confidence = Uncertainty(("L_da",), np.array([[1e-4]]), 1.0, (), (), ())
+    write_model(tmp_path / "m.toml", replace(example_found(), model=model, uncertainty=confidence))
+    back = read_model(tmp_path / "m.toml").model
+    assert dict(back.values) == dict(model.values)
+    assert back.effects == model.effects
+
+
 def test_without_noise_it_is_unknown(path):
     """A missing or short list of sigmas: six nan."""
     text = path.read_text().splitlines(keepends=True)
