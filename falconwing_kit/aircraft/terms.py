@@ -267,6 +267,22 @@ def cross_moments(air, K):
     )  # fmt: skip
 
 
+def roll_of_yawing_moment(terms: Sequence[Term]) -> Callable[[Any], Any]:
+    """How much a yawing moment rolls the aircraft, K -> (dp/dt) / (dr/dt).
+
+    Jxz / Ixx = Gamma_1 / (1 + Jz) where the model has cross moments, else zero: both follow from
+    Gamma_1 and Gamma_7 of Beard & McLain, eq. 3.13, whose Gamma_7 is Jz here.
+    """
+
+    def coupled(K):
+        return K.Gamma_1 / (1.0 + K.Jz)
+
+    def apart(K):
+        return 0.0
+
+    return coupled if CROSS_MOMENTS in terms else apart
+
+
 def attitude_hold(air, K):
     """dp/dt = V^2 L_phi roll, dq/dt = V^2 M_theta pitch: a stabiliser on board.
 

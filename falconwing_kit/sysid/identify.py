@@ -250,9 +250,14 @@ def _require_motion(flights: Sequence[PreparedFlight]) -> None:
 def weak_prior(model: Model) -> Prior:
     """Each parameter near where the fit starts, to three times its typical size.
 
-    A flight that excites a parameter outweighs it by far; one that does not leaves it there.
+    A flight that excites a parameter outweighs it by far; one that does not leaves it there. By a
+    product of inertia each rolling moment also yaws the aircraft [Beard & McLain, eq. 3.13], and
+    N_p may be as large as L_p.
     """
-    sigma = {p.name: WEAK_PRIOR * ordinary_size(p, p.start) for p in model.parameters}
+    size = {p.name: ordinary_size(p, p.start) for p in model.parameters}
+    if CROSS_MOMENTS in model.terms:
+        size["N_p"] = max(size["N_p"], size["L_p"])
+    sigma = {name: WEAK_PRIOR * typical for name, typical in size.items()}
     return Prior({p.name: p.start for p in model.parameters}, sigma)
 
 
@@ -378,12 +383,25 @@ def extended_models(model: Model) -> list[Model]:
 
 
 def _with_cross_moments(model: Model) -> Model:
-    """The model with cross moments, its ratios of inertia without bounds."""
+    """The model with cross moments, its ratios of inertia without bounds.
+
+    A product of inertia mixes rolling and yawing moment [Beard & McLain, eq. 3.13], so that the one
+    may depend on sideslip and on either rate as much as the other, with either sign.
+    """
     terms = tuple(
         UNBOUNDED_GYROSCOPIC if term.name == UNBOUNDED_GYROSCOPIC.name else term
         for term in model.terms
     )
     wide = {p.name: p for p in UNBOUNDED_GYROSCOPIC.parameters}
+    bounds = {p.name: max(-p.low, p.high) for p in model.parameters}
+    for roll, yaw in (("L_beta", "N_beta"), ("L_r", "N_r"), ("L_p", "N_p")):
+        widest = max(bounds[roll], bounds[yaw])
+        mixed = (yaw,) if roll == "L_p" else (roll, yaw)  # roll stays damped
+        wide |= {
+            p.name: replace(p, low=-widest, high=widest)
+            for p in model.parameters
+            if p.name in mixed
+        }
     parameters = tuple(wide.get(p.name, p) for p in model.parameters)
     return replace(model, terms=terms, parameters=parameters).with_terms(CROSS_MOMENTS)
 

@@ -401,6 +401,16 @@ def _jet(rng: np.random.Generator, size: float, a: Around) -> Size:
     }
 
 
+def _turned(a: Around, roll: float, yaw: float) -> tuple[float, float]:
+    """Accelerations in roll and yaw of these moments per mass [Beard & McLain, eq. 3.13]."""
+    body = a.airplane.body
+    per_mass = body.mass / (body.Jx * body.Jz - body.Jxz**2)
+    return (
+        per_mass * (body.Jz * roll + body.Jxz * yaw),
+        per_mass * (body.Jxz * roll + body.Jx * yaw),
+    )
+
+
 def _torque(rng: np.random.Generator, size: float, a: Around) -> Size:
     """Moments at trim as `size` of full aileron and as a sideslip of 0.25 `size` rad."""
     body = a.airplane.body
@@ -465,16 +475,20 @@ EFFECTS: dict[str, Effect] = {
     "battery_sag": Effect(lambda rng, size, a: {"sag_per_s": size / 60.0}, 0.05, 0.14),
     "propeller_torque": Effect(
         _torque, 0.06, 0.16,
-        lambda s, a: {
-            "torque_roll": a.airplane.body.mass * s["torque_roll"] / a.airplane.body.Jx,
-            "torque_yaw": a.airplane.body.mass * s["torque_yaw"] / a.airplane.body.Jz,
-        },
+        lambda s, a: dict(
+            zip(
+                ("torque_roll", "torque_yaw"), _turned(a, s["torque_roll"], s["torque_yaw"]),
+                strict=True,
+            )
+        ),
     ),
     "adverse_yaw": Effect(
         lambda rng, size, a: {"Cnda_added": -size * a.airplane.body.Clda}, 0.10, 0.30,
         lambda s, a: {
-            "adverse_yaw": -a.per_speed2 * a.airplane.body.mass * a.airplane.body.span
-            * a.airplane.body.da_max * s["Cnda_added"] / a.airplane.body.Jz,
+            "adverse_yaw": -_turned(
+                a, 0.0, a.per_speed2 * a.airplane.body.span * a.airplane.body.da_max
+                * s["Cnda_added"],
+            )[1],
         }, "aileron",
     ),
     "control_delay": Effect(

@@ -1,14 +1,25 @@
 """Adverse yaw: aileron yaws the nose out of the turn."""
 
+from functools import cache
 from typing import Any
 
-from falconwing_kit.aircraft.effect import Effect, draw_size
-from falconwing_kit.aircraft.terms import Flow, Loads, Parameter
+from falconwing_kit.aircraft.effect import Effect, LoadsFunction, draw_size
+from falconwing_kit.aircraft.terms import Flow, Loads, Parameter, Term, roll_of_yawing_moment
 
 
-def adverse_yaw(air: Flow, K: Any) -> Loads:
-    """dr/dt = -V^2 adverse_yaw aileron [Etkin & Reid, Dynamics of Flight, ch. 3]."""
-    return 0.0, 0.0, 0.0, 0.0, 0.0, -air.airspeed * air.airspeed * K.adverse_yaw * air.aileron
+@cache  # one function per tuple of terms: a model with it is compiled and looked up once
+def adverse_yaw(terms: tuple[Term, ...]) -> LoadsFunction:
+    """dr/dt = -V^2 adverse_yaw aileron [Etkin & Reid, Dynamics of Flight, ch. 3].
+
+    With a product of inertia the same moment also rolls the aircraft.
+    """
+    roll_of_yaw = roll_of_yawing_moment(terms)
+
+    def yaw_of_aileron(air: Flow, K: Any) -> Loads:
+        yaw = -air.airspeed * air.airspeed * K.adverse_yaw * air.aileron
+        return 0.0, 0.0, 0.0, roll_of_yaw(K) * yaw, 0.0, yaw
+
+    return yaw_of_aileron
 
 
 EFFECTS = (
@@ -26,7 +37,7 @@ EFFECTS = (
             ),
         ),
         equation="dr/dt -> dr/dt - {adverse_yaw} V^2 aileron",
-        loads=adverse_yaw,
+        loads_of=adverse_yaw,
         acts_on=("yaw",),
         same_form=("yaw moment with aileron",),
         separated_by={"aileron doublets": "aileron alone yaws the nose"},

@@ -24,8 +24,8 @@ EFFECTS = (
         name="propeller_torque",
         physics="The propeller turns the aircraft against its rotation, in proportion to thrust.",
         parameters=(
-            Parameter("torque_roll", 0.05, -5.0, 5.0, "1/m", "rolling moment per thrust"),
-            Parameter("torque_yaw", 0.05, -5.0, 5.0, "1/m", "yawing moment per thrust"),
+            Parameter("torque_roll", 0.05, -50.0, 50.0, "1/m", "rolling moment per thrust"),
+            Parameter("torque_yaw", 0.05, -50.0, 50.0, "1/m", "yawing moment per thrust"),
         ),
         equation="dp/dt -> dp/dt + {torque_roll} T/m, dr/dt -> dr/dt + {torque_yaw} T/m",
         loads_of=propeller_torque,
