@@ -164,13 +164,23 @@ def build_nominal_model(
 def with_thrust_curve(model: Model) -> Model:
     """The model with thrust that also grows with throttle squared, free from zero on.
 
+    Thrust falls with speed, and grows with throttle in proportion or faster [Beard & McLain, eq.
+    4.13; Phillips, Mechanics of Flight, ch. 2]: kTV and kTT are not below zero. A flight at one
+    throttle hardly separates thrust and drag, and would put them where no propeller can be.
+
     The model as it is where it has that already, or where a part of its thrust is fixed.
     """
     fixed = {p.name for p in model.parameters if p.high <= p.low}
     present = {term.name for term in model.terms}
     if THRUST_CURVE.name in present or fixed & {"kT", "kTV"}:
         return model
-    return model.with_terms(THRUST_CURVE)
+    curved = model.with_terms(THRUST_CURVE)
+    parameters = tuple(
+        replace(p, low=0.0) if p.name in ("kTV", "kTT") else p for p in curved.parameters
+    )
+    return replace(curved, parameters=parameters).with_values(
+        {"kTV": max(curved.values["kTV"], 0.0)}
+    )
 
 
 def _extend_form(

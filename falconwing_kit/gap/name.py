@@ -64,9 +64,6 @@ HOPELESS_SHARE = 0.1
 # The first round of fits stops where a step lowers the cost by less; the second continues it.
 COARSE_TOLERANCE = 2.0
 GENERIC_MARGIN = 0.1  # a generic effect must exceed the named ones by this share of their evidence
-# An effect that explains a flight alone must exceed any other alone by this share of its evidence:
-# an error in the formula of the true one may have cost it so much.
-RIVAL_MARGIN = 0.1
 # Share of an effect's delta_chi2 that an error of its formula leaves: (20 %)^2 of it, where the
 # formula is wrong by 20 % of the residuals that the effect causes; (30 %)^2 where the nominal model
 # itself had to be completed.
@@ -92,6 +89,7 @@ class EffectCandidate:
     delta_chi2: float  # chi2 explained, in units of the reduced chi2 of the baseline
     values: dict[str, float]  # its parameters as estimated
     result: FitResult | None  # the full fit; None where only the linear scan was made
+    is_identifiable: bool = True  # else what it explains does not count
 
 
 @dataclass(frozen=True)
@@ -208,16 +206,13 @@ def _decide(
     # Named, or ambiguous where others come within "very strong" of the best.
     if ranking[0].delta_bic > threshold:
         best = ranking[0]
-        rivals = _rivals(best, ranking[1:], VERY_STRONG_EVIDENCE)
+        rivals = _rivals(best, ranking[1:])
         verdict, chosen = ("ambiguous", (best, *rivals)) if rivals else ("named", (best,))
         if verdict == "named":
             chosen = _add_further_effects(
                 base, windows, before, best, catalogue, threshold, progress
             )
             ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
-        if verdict == "named" and len(chosen) == 1:
-            rivals = _rivals(chosen[0], ranking[1:], RIVAL_MARGIN * chosen[0].delta_bic)
-            verdict, chosen = ("ambiguous", (*chosen, *rivals)) if rivals else (verdict, chosen)
     # No excess over the baseline, no name: the same effect may be in both flights.
     if (
         chosen
@@ -273,10 +268,10 @@ def _decide(
 
 
 def _rivals(
-    best: EffectCandidate, others: Sequence[EffectCandidate], margin: float
+    best: EffectCandidate, others: Sequence[EffectCandidate]
 ) -> tuple[EffectCandidate, ...]:
-    """The others within a margin of the best's evidence, but for those that it is part of."""
-    near = (c for c in others if c.delta_bic > best.delta_bic - margin)
+    """The others within very strong evidence of the best, but for those that it is part of."""
+    near = (c for c in others if c.delta_bic > best.delta_bic - VERY_STRONG_EVIDENCE)
     return tuple(c for c in near if best.effect.name not in c.effect.contains)
 
 
@@ -295,6 +290,15 @@ def _evidence_over(
     penalty = bic_penalty(generic.effect, windows) + SELECTION_PENALTY
     penalty -= sum(bic_penalty(c.effect, windows) for c in named)
     return gained / base.inflation.get(generic.effect.name, 1.0) - penalty
+
+
+def _evidence_between(
+    base: NominalModel, windows: Windows, one: EffectCandidate, other: EffectCandidate
+) -> float:
+    """Evidence for one effect over another that explains the same, by the larger variance factor."""
+    factor = max(base.inflation.get(c.effect.name, 1.0) for c in (one, other))
+    penalty = bic_penalty(one.effect, windows) - bic_penalty(other.effect, windows)
+    return (one.delta_chi2 - other.delta_chi2) / factor - penalty
 
 
 def _evidence_of_change(base: NominalModel, windows: Windows, found: EffectCandidate) -> float:
@@ -398,7 +402,7 @@ def _add_further_effects(
             sizes = [confidence.interval(p.name, values[p.name]) for p in first.effect.amplitudes]
             if not any(low * high > 0.0 for low, high in sizes):
                 alone = _fit_effect(base, windows, before, further, progress)
-                if alone.delta_bic > first.delta_bic:
+                if _evidence_between(base, windows, alone, first) > 0.0:
                     return (alone,)
         chosen = (*chosen, further)
     return chosen
@@ -433,7 +437,7 @@ def _find_further_effect(
     needed = max(threshold, *(_formula_error(base, c, best.effect) for c in chosen))
     if len(chosen) > 1:  # a third effect must show in the chi2 that two leave
         needed = max(needed, VISIBLE_SIGMAS * np.sqrt(2.0 * degrees_of_freedom(windows, last)))
-    if best.delta_bic <= needed or _rivals(best, others, VERY_STRONG_EVIDENCE):
+    if best.delta_bic <= needed or _rivals(best, others):
         return None
     is_new = _evidence_of_change(base, windows, best) >= VERY_STRONG_EVIDENCE
     return best if is_new else None
@@ -485,7 +489,33 @@ def _rank(
                 tolerance,
             )
         )
-    return sorted([*fitted, *open_], key=lambda c: -c.delta_bic)
+    return _best_first(base, windows, [*fitted, *open_])
+
+
+def _best_first(
+    base: NominalModel, windows: Windows, candidates: Sequence[EffectCandidate]
+) -> list[EffectCandidate]:
+    """Candidates by their evidence; those with very strong evidence by that over each other.
+
+    Variance factors say how often an effect is seen by chance, not which of two fits better. So the
+    best is the one that no other fitted one exceeds, and the evidence of the others is at most its
+    own less what it has over them.
+    """
+    ranking = sorted(candidates, key=lambda c: -c.delta_bic)
+    strong = [c for c in ranking if c.delta_bic > VERY_STRONG_EVIDENCE]
+    fitted = [c for c in strong if c.result is not None]
+    if len(strong) < 2 or not fitted:
+        return ranking
+    best = fitted[0]
+    for other in fitted[1:]:
+        if _evidence_between(base, windows, other, best) > 0.0:
+            best = other
+    rest = [c for c in ranking if c is not best]
+    for k, other in enumerate(rest):
+        if other.delta_bic > VERY_STRONG_EVIDENCE:
+            behind = best.delta_bic - _evidence_between(base, windows, best, other)
+            rest[k] = replace(other, delta_bic=min(other.delta_bic, behind))
+    return [best, *sorted(rest, key=lambda c: -c.delta_bic)]
 
 
 def _scan(
@@ -551,12 +581,14 @@ def _fit_effect(
     gained = max(before.cost - result.cost, 0.0) / base.reduced_chi2
     found = {p.name: result.model.values[p.name] for p in effect.parameters}
     delta_bic = gained / base.inflation.get(effect.name, 1.0) - bic_penalty(effect, windows)
+    is_identifiable = _is_identifiable(effect, result, windows, base)
     return EffectCandidate(
         effect,
-        delta_bic if _is_identifiable(effect, result, windows, base) else min(delta_bic, 0.0),
+        delta_bic if is_identifiable else min(delta_bic, 0.0),
         gained,
         found,
         result,
+        is_identifiable,
     )
 
 

@@ -240,7 +240,7 @@ def runner_up_text(study: GapStudy) -> str:
             f"{name} comes first and is no answer: it explains {best.delta_chi2:.0f} of chi2, less "
             f"a BIC penalty of {penalty:.0f} for {_parameters(count)}: evidence "
             f"{best.delta_bic:.0f}, {naming.threshold:.0f} needed"
-            f"{_full_stop(_bound_text(best, penalty))}"
+            f"{_full_stop(_bound_text(best))}"
         )
     # Of two named effects the first was ranked by itself, as the runner-up was.
     winner = naming.chosen[0]
@@ -258,7 +258,7 @@ def runner_up_text(study: GapStudy) -> str:
         f"For {_parameters(count)} its BIC penalty is {penalty:.0f}, that of {winner_name} "
         f"{bic_penalty(winner.effect, naming.windows):.0f}; so it ends "
         f"{winner.delta_bic - best.delta_bic:.0f} of evidence behind"
-        f"{_full_stop(_bound_text(best, penalty))}",
+        f"{_full_stop(_bound_text(best))}",
     ]
     if winner.effect.name in best.effect.contains:
         text.append(
@@ -282,19 +282,19 @@ def _excluded(study: GapStudy) -> list[tuple[EffectCandidate, str]]:
     """Effects whose fit does not count whatever it explains, each with the reason."""
     answer = {c.effect.name for c in study.naming.chosen}
     reasons = [
-        (c, _bound_text(c, bic_penalty(c.effect, study.naming.windows)))
+        (c, _bound_text(c))
         for c in study.naming.ranking
         if c.effect.name not in answer
     ]
     return [(c, reason) for c, reason in reasons if "does not count" in reason]
 
 
-def _bound_text(candidate: EffectCandidate, penalty: float) -> str:
+def _bound_text(candidate: EffectCandidate) -> str:
     """Why its fit does not count, or that a parameter ended on its bound; empty for neither."""
     held = [p.name for p in candidate.effect.parameters if _on_bound(p, candidate.values[p.name])]
     bounds = "its bound" if len(held) == 1 else "their bounds"
     ended = f"its fit ended with {', '.join(held)} on {bounds}" if held else ""
-    if candidate.result is not None and candidate.delta_bic < candidate.delta_chi2 - penalty - 1e-6:
+    if not candidate.is_identifiable:
         essential = ", ".join(candidate.effect.essential)
         return (
             f"{ended or f'{essential} may be zero within its 95 % interval'}, so what it explains "
