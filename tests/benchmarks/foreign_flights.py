@@ -411,6 +411,15 @@ def _turned(a: Around, roll: float, yaw: float) -> tuple[float, float]:
     )
 
 
+def _wing_drag(size: Size, a: Around) -> dict[str, float]:
+    """Drag of the right wing alone, which acts at a quarter of the span."""
+    drag = 0.5 * a.per_speed2 * size["wing_drag"]
+    return {
+        "wing_drag": drag,
+        "wing_drag_yaw": _turned(a, 0.0, 0.25 * a.airplane.body.span * drag)[1],
+    }
+
+
 def _torque(rng: np.random.Generator, size: float, a: Around) -> Size:
     """Moments at trim as `size` of full aileron and as a sideslip of 0.25 `size` rad."""
     body = a.airplane.body
@@ -532,6 +541,9 @@ EFFECTS: dict[str, Effect] = {
         lambda rng, size, a: {"late": size}, 0.04, 0.12, lambda s, a: {"control_delay": s["late"]},
     ),
     "stall": Effect(_stall, 0.35, 0.7),
+    "wing_drag": Effect(
+        lambda rng, size, a: {"wing_drag": size * a.trim.CD}, 0.5, 1.0, _wing_drag
+    ),
     # in no catalogue
     "rudder_roll": Effect(
         lambda rng, size, a: {"rudder_roll": size * abs(a.airplane.body.Clda) + 0.03 * size},
@@ -540,9 +552,6 @@ EFFECTS: dict[str, Effect] = {
     "prop_wash": Effect(lambda rng, size, a: {"prop_wash": size / a.trim.throttle}, 0.6, 1.5),
     "sideslip_pitch": Effect(
         lambda rng, size, a: {"Cmb": _sign(rng) * size * abs(a.airplane.body.Cma)}, 0.3, 0.8,
-    ),
-    "wing_drag": Effect(
-        lambda rng, size, a: {"wing_drag": size * a.trim.CD}, 0.5, 1.0,
     ),
     "aeroelastic_roll": Effect(
         lambda rng, size, a: {
@@ -557,7 +566,7 @@ EFFECTS: dict[str, Effect] = {
     ),
 }  # fmt: skip
 OUTSIDE = (
-    "rudder_roll", "prop_wash", "sideslip_pitch", "wing_drag", "aeroelastic_roll", "thrust_line",
+    "rudder_roll", "prop_wash", "sideslip_pitch", "aeroelastic_roll", "thrust_line",
 )  # fmt: skip
 IN_CATALOGUE = tuple(name for name in EFFECTS if name not in (*OUTSIDE, "none"))
 MEASURED = ("tilt_pitch", "tilt_roll", "camera_forward", "camera_right", "camera_down", "late")
