@@ -405,7 +405,40 @@ def _add_further_effects(
                 if _evidence_between(base, windows, alone, first) > 0.0:
                     return (alone,)
         chosen = (*chosen, further)
+        if len(chosen) == 2:
+            chosen = _exchange_first(base, windows, before, chosen, catalogue, progress)
     return chosen
+
+
+def _exchange_first(
+    base: NominalModel,
+    windows: Windows,
+    before: FitResult,
+    pair: tuple[EffectCandidate, ...],
+    catalogue: Sequence[Effect],
+    progress: Progress,
+) -> tuple[EffectCandidate, ...]:
+    """The pair, or its second effect with the one that goes best with it.
+
+    The first was chosen alone, and may have explained a part of both.
+    """
+    first, second = pair
+    alone = _fit_effect(base, windows, before, second, progress)
+    if alone.result is None:
+        return pair
+    rest = [
+        e
+        for e in catalogue
+        if e.acts_on != second.effect.acts_on
+        and not any(p.name in alone.result.model.values for p in e.parameters)
+    ]
+    best = _rank(base, windows, alone.result, rest, progress)[0]
+    if best.effect.name == first.effect.name or best.result is None:
+        return pair
+    exchanged = replace(best, delta_chi2=best.delta_chi2 + alone.delta_chi2)
+    given = replace(first, delta_chi2=first.delta_chi2 + second.delta_chi2)
+    better = _evidence_between(base, windows, exchanged, given) > VERY_STRONG_EVIDENCE
+    return (alone, best) if better else pair
 
 
 def _find_further_effect(
@@ -437,10 +470,14 @@ def _find_further_effect(
     needed = max(threshold, *(_formula_error(base, c, best.effect) for c in chosen))
     if len(chosen) > 1:  # a third effect must show in the chi2 that two leave
         needed = max(needed, VISIBLE_SIGMAS * np.sqrt(2.0 * degrees_of_freedom(windows, last)))
-    if best.delta_bic <= needed or _rivals(best, others):
+    if best.delta_bic <= needed or not _is_new(base, windows, best):
         return None
-    is_new = _evidence_of_change(base, windows, best) >= VERY_STRONG_EVIDENCE
-    return best if is_new else None
+    return None if any(_is_new(base, windows, c) for c in _rivals(best, others)) else best
+
+
+def _is_new(base: NominalModel, windows: Windows, found: EffectCandidate) -> bool:
+    """Whether an effect is in the flight alone rather than in both flights."""
+    return _evidence_of_change(base, windows, found) >= VERY_STRONG_EVIDENCE
 
 
 def _formula_error(base: NominalModel, found: EffectCandidate, other: Effect) -> float:
