@@ -110,12 +110,16 @@ class SchurComplement:
         """Variance of an effect's score between windows over that of white residuals.
 
         One where residuals are noise; more where the model errs alike all through a window, so that
-        the same chi2 means less [White 1980; Liang & Zeger 1986, clustered by window].
+        the same chi2 means less [White 1980; Liang & Zeger 1986, clustered by window]. Residuals
+        are those that the effect leaves: what it explains alike in all windows is no scatter.
         """
         E = _project_out(self.Q, effect.derivative)
         B = np.einsum("wif,wik->fk", self.K, E, optimize=True)
         E = E - self.K @ np.linalg.solve(self.normal, B)  # what the parameters do not imitate
-        scores = np.einsum("wik,wi->wk", E, self.residual, optimize=True)
+        amplitudes = [p.name for p in effect.variant.effect.amplitudes]
+        step = self.score(effect).values
+        left = self.residual + E @ np.array([step[name] for name in amplitudes])
+        scores = np.einsum("wik,wi->wk", E, left, optimize=True)
         white = self.reduced_chi2 * np.einsum("wik,wil->kl", E, E, optimize=True)
         clustered = scores.T @ scores * len(E) / max(len(E) - 1, 1)
         if not (np.isfinite(white).all() and np.isfinite(clustered).all()):
