@@ -507,7 +507,7 @@ def _scan_courses(
 def _fit_course(
     base: NominalModel, windows: Windows, before: FitResult, course: Course, guess: EffectCandidate
 ) -> Onset:
-    """Fit an on-off or a ramp in full, its two times in turn from the profile likelihood."""
+    """Fit an on-off or a ramp in full; of its two times the one moves that gains more."""
     first, last = float(windows.nodes[0, 0]), float(windows.nodes[-1, -1])
     gated = with_course(guess.effect, course, first, last)
     bounds = {p.name: p for p in gated.parameters}
@@ -519,7 +519,7 @@ def _fit_course(
         result = fit(model, windows, states, prior=base.prior, iterations=15)
         values = {p.name: result.model.values[p.name] for p in gated.parameters}
         states = result.initial_states
-        improved = False
+        better: dict[str, tuple[float, float]] = {}  # time -> cost and value where it is least
         for name in names:
             times, cost = _profile_likelihood(base, windows, result, name)
             inside = np.flatnonzero(cost < cost.min() + LIKELIHOOD_DROP * base.reduced_chi2)
@@ -528,10 +528,11 @@ def _fit_course(
                 float(times[min(inside[-1] + 1, len(times) - 1)]),
             )
             if cost.min() < result.cost - 0.1 * base.reduced_chi2:
-                values[name], improved = float(times[np.argmin(cost)]), True
-                break  # the other time after a refit
-        if not improved:
+                better[name] = float(cost.min()), float(times[np.argmin(cost)])
+        if not better:
             break
+        moved = min(better, key=lambda name: better[name])  # the other one after a refit
+        values[moved] = better[moved][1]
     clock, price = float(windows.flights[0].t[0]), float(np.log(windows.count))
     delta_bic = (before.cost - result.cost) / base.reduced_chi2 - price * len(gated.parameters)
     fitted, (since, end) = result.model.values, (ONSET, END[course])

@@ -295,7 +295,7 @@ def _evidence_over(
 def _evidence_between(
     base: NominalModel, windows: Windows, one: EffectCandidate, other: EffectCandidate
 ) -> float:
-    """Evidence for one effect over another that explains the same, by the larger variance factor."""
+    """Evidence for one effect over another that explains the same, by the larger factor."""
     factor = max(base.inflation.get(c.effect.name, 1.0) for c in (one, other))
     penalty = bic_penalty(one.effect, windows) - bic_penalty(other.effect, windows)
     return (one.delta_chi2 - other.delta_chi2) / factor - penalty

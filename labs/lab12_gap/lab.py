@@ -600,7 +600,7 @@ check_quiz(quiz)
 # %% [markdown]
 # ## What you can do now
 # You can distinguish a wrong model from chance, name what is missing, or conclude that nothing is. Compare with the kit,
-# which has 19 effects in its catalogue, tries two at a time, and reports when it is none of them:
+# which has 20 effects in its catalogue, tries two at a time, and reports when it is none of them:
 #
 #     falconwing gap --calm data/calm.csv --flight data/flight.csv --out gap
 #

@@ -14,7 +14,7 @@ from falconwing_kit.aircraft import terms
 from falconwing_kit.aircraft.effect import STANDING, effect_catalogue, standing_effect
 from falconwing_kit.aircraft.effects import CATALOGUE, EFFECT_NAMES
 from falconwing_kit.aircraft.model import rates_model, state_rates
-from falconwing_kit.aircraft.terms import air_flow
+from falconwing_kit.aircraft.terms import CROSS_MOMENTS, air_flow
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.frames import GRAVITY
 from falconwing_kit.gap.advice import DIAGNOSIS_MANOEUVRES
@@ -85,12 +85,12 @@ def zeroed(effect):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_the_nineteen_names_are_there():
+def test_the_twenty_names_are_there():
     """As the command line's page names them; more may be added."""
     fixed = """wind fan_jet ground_effect extra_drag flap thrust_loss battery_sag propeller_torque
         adverse_yaw control_delay actuator_lag trim_bias deadband aileron_loss mass_change cg_shift
-        camera_tilt time_offset stall"""
-    assert len(fixed.split()) == 19
+        camera_tilt time_offset stall wing_drag"""
+    assert len(fixed.split()) == 20
     assert set(fixed.split()) <= set(EFFECT_NAMES)
     assert len(set(EFFECT_NAMES)) == len(EFFECT_NAMES)
 
@@ -173,6 +173,7 @@ def test_every_equation_holds_every_parameter(effect):
         "cg_shift",
         "thrust_loss",
         "battery_sag",
+        "wing_drag",
     ],
 )
 def test_the_equation_on_the_page_is_the_function(name):
@@ -544,6 +545,58 @@ def test_cg_shift_is_a_lever_over_two_inertias():
         cg_moment=0.15 * 0.02 / Iyy,
     )
     assert found == pytest.approx((0.0, 0.0, 0.0, 0.0, 12.25, 5.228), abs=5e-3)
+
+
+def coupled(name, air, **K):
+    """(6,) of the effect in a model with cross moments, at one flow."""
+    model = rates_model().with_terms(CROSS_MOMENTS).with_effect(EFFECTS[name]).with_values(K)
+    return np.array(EFFECTS[name].term(model.terms[:-1]).evaluate(air, model.K), dtype=float)
+
+
+def test_a_product_of_inertia_turns_yawing_moments_into_roll():
+    """The rigid body itself: moments (0, m, n) of drag on a wing, of aileron and of a shifted mass
+    give (dp/dt, dq/dt, dr/dt) = J^-1 (0, m, n), J of the Skywalker X8 [Gryte et al. 2018]. The
+    model has J by its Gammas alone [Beard & McLain, eq. 3.13].
+    """
+    Jx, Jy, Jz, Jxz = 1.229, 0.1702, 0.8808, 0.9343
+    inertia = np.array([[Jx, 0.0, -Jxz], [0.0, Jy, 0.0], [-Jxz, 0.0, Jz]])
+    det = Jx * Jz - Jxz**2
+    K = {
+        "Jx": -(Jz * (Jz - Jy) + Jxz**2) / det,
+        "Jy": (Jz - Jx) / Jy,
+        "Jz": ((Jx - Jy) * Jx + Jxz**2) / det,
+        "Gamma_1": Jxz * (Jx - Jy + Jz) / det,
+        "Gamma_6": Jxz / Jy,
+    }
+    air = flow(u=18.0, v=2.0, w=1.0, aileron=0.3)
+    for name, own, moment in (
+        ("wing_drag", {"wing_drag": 0.0, "wing_drag_yaw": 0.01}, [0.0, 0.0, 1.0]),
+        ("adverse_yaw", {"adverse_yaw": 0.02}, [0.0, 0.0, -1.0]),
+    ):
+        found, turned = coupled(name, air, **K, **own)[3:], np.linalg.solve(inertia, moment)
+        assert found / found[2] == pytest.approx(turned / turned[2], abs=1e-9)
+        assert found[2] * turned[2] > 0.0
+    # A mass behind by d: lift and side force, per mass, at that lever.
+    lever = 0.05 / Jy
+    found = coupled("cg_shift", air, **K, cg_moment=lever)[3:]
+    model = rates_model().with_values({k: v for k, v in K.items() if not k.startswith("Gamma")})
+    lift = air.airspeed**2 * terms.lift_coefficient(air, model.K)
+    side = air.airspeed**2 * (model.K.cY_beta * air.beta + model.K.cY_dr * air.rudder)
+    expected = np.linalg.solve(inertia, [0.0, 0.05 * lift, 0.05 * side])
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_aileron_lost_takes_its_yawing_moment_along():
+    """Two fifths of 324 * (0.1, 0.15) * 0.3, and as much of full deflection: nothing is left."""
+    K = {"L_da": 0.10, "N_da": 0.15}
+    found = coupled("aileron_loss", flow(u=18.0, aileron=0.3), **K, aileron_lost=0.4)
+    assert found == pytest.approx((0.0, 0.0, 0.0, -3.888, 0.0, -5.832), abs=1e-3)
+
+
+def test_wing_drag_by_hand():
+    """49.01 * 0.01 against the flight, and 49.01 * 0.06 to the right."""
+    found = loads("wing_drag", flow(), wing_drag=0.01, wing_drag_yaw=0.06)
+    assert found == pytest.approx((-0.490, 0.0, 0.0, 0.0, 0.0, 2.941), abs=2e-3)
 
 
 def test_mass_behind_makes_less_stable():

@@ -90,6 +90,7 @@ class Pilot(NamedTuple):
     swing_period: float
     shallowest: float  # height of low passes, or of the lowest wish
     pass_period: float
+    pass_share: float  # of the period that a pass takes
 
 
 @njit(cache=True)
@@ -162,12 +163,7 @@ def fly(
         bank = min(max(ahead + pilot.k_course * error, -pilot.bank), pilot.bank)
         # how high and how fast
         phase = time / pilot.pass_period
-        down = np.exp(
-            -(
-                ((phase - np.floor(phase) - 0.5) * pilot.pass_period / (0.12 * pilot.pass_period))
-                ** 2
-            )
-        )
+        down = np.exp(-(((phase - np.floor(phase) - 0.5) / pilot.pass_share) ** 2))
         height = pilot.height - (pilot.height - pilot.shallowest) * down
         above = -state[2]
         soon = above + 0.8 * climb
@@ -282,6 +278,7 @@ def new_pilot(
         swing_period=float(rng.uniform(14.0, 22.0)) * max(1.0, V / 12.0),
         shallowest=(0.30 * span + 0.1 if V < INDOORS else 0.6 * span) if low else 0.75 * height,
         pass_period=float(rng.uniform(10.0, 14.0)) * max(1.0, V / 10.0),
+        pass_share=0.30 if low else 0.12,  # a low pass is to last: ground effect has to be there
     )  # fmt: skip
 
 

@@ -110,15 +110,19 @@ def test_a_scan_leaves_out_what_another_effect_stands_for():
 
 def test_error_that_a_window_shares_inflates_the_variance():
     """White residuals: one, within four standard errors. One error for all 20 rows of a window and
-    an effect that is alike in them: the sum has 20 times the variance of white residuals.
+    an effect that is alike in them: the sum has 20 times the variance of white residuals. The
+    effect itself, of one size in all windows, is no scatter.
     """
     rng, windows, rows = np.random.default_rng(3), 400, 20
+    white = rng.normal(size=(windows, rows))
     shared = np.repeat(rng.normal(size=(windows, 1)), rows, axis=1)
-    for residual, expected in ((rng.normal(size=(windows, rows)), 1.0), (shared, 20.0)):
+    for residual, expected in ((white, 1.0), (shared, 20.0), (white + 0.5, 1.0)):
         fitted = SchurComplement(
             Q=np.zeros((windows, rows, 1)), K=np.zeros((windows, rows, 1)), residual=residual,
             prior=np.eye(1), reduced_chi2=1.0,
         )  # fmt: skip
-        effect = Sensitivities(EffectVariant(EFFECTS["wind"], {}), np.ones((windows, rows, 1)))
+        effect = Sensitivities(
+            EffectVariant(EFFECTS["extra_drag"], {}), np.ones((windows, rows, 1))
+        )
         found = fitted.inflation(effect)
         assert found == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / windows))

@@ -229,7 +229,7 @@ def test_a_completed_base_makes_no_error_of_wind_or_time(found, other, plain, co
         assert error == pytest.approx(1000.0 * share**2)
 
 
-def test_rivals_are_those_within_the_margin():
+def test_rivals_are_those_within_very_strong_evidence():
     """By hand: of 100, 91 and 89 the second is within 10 of the first; a drag that is part of a
     flap is no rival of the flap, whatever its evidence.
     """
@@ -237,9 +237,58 @@ def test_rivals_are_those_within_the_margin():
         EffectCandidate(EFFECTS[name], evidence, evidence, {}, None)
         for name, evidence in (("wind", 100.0), ("flap", 91.0), ("stall", 89.0))
     )
-    assert name_module._rivals(first, [second, third], 10.0) == (second,)
+    assert name_module._rivals(first, [second, third]) == (second,)
     larger = replace(second, effect=replace(second.effect, contains=("wind",)))
-    assert name_module._rivals(first, [larger], 10.0) == ()
+    assert name_module._rivals(first, [larger]) == ()
+
+
+def test_effects_that_explain_the_same_are_compared_with_each_other():
+    """By hand, 1,000 measured components: a delay explains 504 with a variance factor of 1.19, a
+    lag 479 with 1: alone 416.6 against 472.1, but of the two the delay explains 25 more, 21 by the
+    larger factor. Wind, with little evidence of its own, is no part of the comparison.
+    """
+    penalty = math.log(1000.0)
+    base = SimpleNamespace(inflation={"control_delay": 1.19, "wind": 20.0})
+    windows = SimpleNamespace(count=1000)
+    delay, lag, wind = (
+        EffectCandidate(EFFECTS[name], alone, explained, {}, "a fit")
+        for name, alone, explained in (
+            ("control_delay", 504.0 / 1.19 - penalty, 504.0),
+            ("actuator_lag", 479.0 - penalty, 479.0),
+            ("wind", 4.0, 600.0),
+        )
+    )
+    best, second, third = name_module._best_first(base, windows, [wind, lag, delay])
+    assert (best, third) == (delay, wind)
+    assert second.effect.name == "actuator_lag"
+    assert second.delta_bic == pytest.approx(best.delta_bic - 25.0 / 1.19)
+    assert name_module._best_first(base, windows, [wind, lag]) == [lag, wind]
+
+
+def test_the_first_of_two_effects_is_chosen_anew_beside_the_second(monkeypatch):
+    """By hand: trim explains most alone, and 100 with a tilt; beside the tilt a mass explains 900
+    instead of 650, and takes its place. A mass that explains 5 more does not.
+    """
+    result = SimpleNamespace(model=SimpleNamespace(values={}))
+    trim, tilt = (
+        EffectCandidate(EFFECTS[name], chi2, chi2, {}, result)
+        for name, chi2 in (("trim_bias", 700.0), ("camera_tilt", 100.0))
+    )
+    alone = replace(tilt, delta_chi2=150.0)
+    base, windows = SimpleNamespace(inflation={}), SimpleNamespace(count=1000)
+    monkeypatch.setattr(name_module, "_fit_effect", lambda *_: alone)
+
+    def pair_where_a_mass_explains(chi2):
+        mass = EffectCandidate(EFFECTS["mass_change"], chi2, chi2, {}, result)
+        monkeypatch.setattr(name_module, "_rank", lambda *_: [mass])
+        return name_module._exchange_first(
+            base, windows, None, (trim, tilt), tuple(CATALOGUE), print
+        )
+
+    exchanged = pair_where_a_mass_explains(900.0)
+    assert [c.effect.name for c in exchanged] == ["camera_tilt", "mass_change"]
+    assert exchanged[0] is alone
+    assert pair_where_a_mass_explains(640.0) == (trim, tilt)
 
 
 def test_the_completion_tries_four_effects_each_in_its_best_form(monkeypatch):
@@ -284,6 +333,7 @@ def test_no_full_fit_far_below_the_best(monkeypatch):
             for effect, gain in zip(EFFECTS.values(), evidence, strict=False)
         ]
         monkeypatch.setattr(name_module, "_scan", lambda *_: open_)
+        monkeypatch.setattr(name_module, "_best_first", lambda base, windows, ranking: ranking)
         ranking = name_module._rank(None, None, None, (), print)
         assert [c.delta_bic for c in ranking] == list(evidence)
         return tuple(fitted)

@@ -475,6 +475,10 @@ def test_a_flying_wing_is_described_from_a_start_with_cross_moments():
     # Its ratios of inertia are far outside those of a body without a product of inertia: -7.2 and
     # 10.4 as published, before the draw.
     assert found.model.values["Jx"] < -1.5 and found.model.values["Jz"] > 1.0
+    # As published N_p is Jxz / Jz = 1.06 of L_p, far beyond that of a body without one.
+    assert found.model.values["N_p"] < 0.8 * found.model.values["L_p"]
+    bounded = [p for p in found.model.parameters if p.high > p.low]
+    assert all(p.low < found.model.values[p.name] < p.high for p in bounded)
 
 
 def test_describing_precise_poses_needs_half_the_error_of_a_constant_turn():

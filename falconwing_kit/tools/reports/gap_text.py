@@ -281,11 +281,7 @@ def runner_up_text(study: GapStudy) -> str:
 def _excluded(study: GapStudy) -> list[tuple[EffectCandidate, str]]:
     """Effects whose fit does not count whatever it explains, each with the reason."""
     answer = {c.effect.name for c in study.naming.chosen}
-    reasons = [
-        (c, _bound_text(c))
-        for c in study.naming.ranking
-        if c.effect.name not in answer
-    ]
+    reasons = [(c, _bound_text(c)) for c in study.naming.ranking if c.effect.name not in answer]
     return [(c, reason) for c, reason in reasons if "does not count" in reason]
 
 
