@@ -253,11 +253,14 @@ def runner_up_text(study: GapStudy) -> str:
         if explained > -0.5
         else f"{-explained:.0f} more than {winner_name}'s {winner.delta_chi2:.0f}"
     )
+    winner_penalty = bic_penalty(winner.effect, naming.windows)
+    behind = winner.delta_bic - best.delta_bic
+    is_weakened = abs(behind - (explained - winner_penalty + penalty)) > 1.0
+    weakened = " (residuals that err alike through a window count for less)" if is_weakened else ""
     text = [
         f"{name} came second: it explains {best.delta_chi2:.0f} of chi2, {compared}.",
         f"For {_parameters(count)} its BIC penalty is {penalty:.0f}, that of {winner_name} "
-        f"{bic_penalty(winner.effect, naming.windows):.0f}; so it ends "
-        f"{winner.delta_bic - best.delta_bic:.0f} of evidence behind"
+        f"{winner_penalty:.0f}; so it ends {behind:.0f} of evidence behind{weakened}"
         f"{_full_stop(_bound_text(best))}",
     ]
     if winner.effect.name in best.effect.contains:
