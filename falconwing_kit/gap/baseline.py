@@ -337,7 +337,7 @@ def calibrate_nominal_model(
         )
     factors: dict[str, list[float]] = {}
     for c in tried_sensitivities:
-        factors.setdefault(c.variant.effect.name, []).append(reduced.inflation(c))
+        factors.setdefault(c.variant.effect.name, []).append(_variance_factor(reduced, c))
     inflation = {name: max(1.0, float(np.median(several))) for name, several in factors.items()}
     divisor = np.array([inflation[c.variant.effect.name] for c in tried_sensitivities])
     penalty = np.array([bic_penalty(c.variant.effect, windows) for c in tried_sensitivities])
@@ -385,7 +385,7 @@ def _complete_model(
         needed = SELECTION_PENALTY + ADDITION_EVIDENCE
         enough: dict[str, tuple[float, Sensitivities]] = {}  # the best variant of each effect
         for effect in tried:
-            gain = reduced.score(effect).delta_chi2 / max(1.0, reduced.inflation(effect))
+            gain = reduced.score(effect).delta_chi2 / max(1.0, _variance_factor(reduced, effect))
             gain -= bic_penalty(effect.variant.effect, windows)
             # Within very strong evidence a form from physics comes before one in proportion to a
             # variable, which at another mean of that variable would be another load.
@@ -395,12 +395,21 @@ def _complete_model(
                 enough[name] = (gain - handicap, effect)
         for _, effect in sorted(enough.values(), key=lambda pair: -pair[0])[:ADDITION_TRIALS]:
             added = _add_to_base(result, windows, reduced.score(effect), weak)
-            inflation = max(1.0, reduced.inflation(effect))
+            inflation = max(1.0, _variance_factor(reduced, effect))
             if added is not None and (result.cost - added.cost) / inflation > needed:
                 result = added
                 break
         else:
             return result, tried
+
+
+def _variance_factor(reduced: SchurComplement, tried: Sensitivities) -> float:
+    """Variance factor of an effect's evidence, from the residuals that it leaves.
+
+    Of a generic effect from all residuals: it has no form from physics that would tell an effect
+    from an error of the model, and follows whatever the residuals do.
+    """
+    return reduced.inflation(tried, is_explained=tried.variant.effect not in GENERIC_EFFECTS)
 
 
 def _add_to_base(

@@ -106,19 +106,24 @@ class SchurComplement:
         known = np.einsum("wik,wik->k", E, E, optimize=True)
         return known - np.einsum("fk,fk->k", B, np.linalg.solve(self.normal, B)), known
 
-    def inflation(self, effect: Sensitivities) -> float:
+    def inflation(self, effect: Sensitivities, is_explained: bool = True) -> float:
         """Variance of an effect's score between windows over that of white residuals.
 
         One where residuals are noise; more where the model errs alike all through a window, so that
-        the same chi2 means less [White 1980; Liang & Zeger 1986, clustered by window]. Residuals
-        are those that the effect leaves: what it explains alike in all windows is no scatter.
+        the same chi2 means less [White 1980; Liang & Zeger 1986, clustered by window].
+
+        Args:
+            effect: its sensitivities at this fit.
+            is_explained: residuals are those that the effect leaves, as what it explains alike in
+                all windows is no scatter; False: those of the fit without it.
         """
         E = _project_out(self.Q, effect.derivative)
         B = np.einsum("wif,wik->fk", self.K, E, optimize=True)
         E = E - self.K @ np.linalg.solve(self.normal, B)  # what the parameters do not imitate
         amplitudes = [p.name for p in effect.variant.effect.amplitudes]
         step = self.score(effect).values
-        left = self.residual + E @ np.array([step[name] for name in amplitudes])
+        explained = E @ np.array([step[name] for name in amplitudes])
+        left = self.residual + explained if is_explained else self.residual
         scores = np.einsum("wik,wi->wk", E, left, optimize=True)
         white = self.reduced_chi2 * np.einsum("wik,wil->kl", E, E, optimize=True)
         clustered = scores.T @ scores * len(E) / max(len(E) - 1, 1)

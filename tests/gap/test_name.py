@@ -293,6 +293,7 @@ def test_the_first_of_two_effects_is_chosen_anew_beside_the_second(monkeypatch):
 
 def test_the_completion_tries_four_effects_each_in_its_best_form(monkeypatch):
     """By the rule: two forms of a delay are one trial, the better one; the fifth is not tried."""
+    base = own_base()
     names = ("wind", "control_delay", "control_delay", "flap", "stall", "mass_change", "cg_shift")
     gains = dict(enumerate((900.0, 700.0, 800.0, 600.0, 500.0, 400.0, 1.0)))
     tried = [
@@ -301,7 +302,7 @@ def test_the_completion_tries_four_effects_each_in_its_best_form(monkeypatch):
     ]
     scores = SimpleNamespace(
         score=lambda effect: SimpleNamespace(delta_chi2=gains[effect.number], effect=effect),
-        inflation=lambda effect: 1.0,
+        inflation=lambda effect, is_explained: 1.0,
     )
     monkeypatch.setattr(baseline_module, "sensitivities", lambda *_: tried)
     monkeypatch.setattr(baseline_module, "SchurComplement", SimpleNamespace(of=lambda *_: scores))
@@ -310,7 +311,6 @@ def test_the_completion_tries_four_effects_each_in_its_best_form(monkeypatch):
         baseline_module, "_add_to_base",
         lambda result, windows, score, weak: fitted.append(score.effect.number),
     )  # fmt: skip
-    base = own_base()
     result, _ = baseline_module._complete_model(base.result, base.windows, (), base.weak, print)
     assert result is base.result
     assert fitted == [0, 2, 3, 4]
