@@ -120,10 +120,10 @@ class SchurComplement:
         E = _project_out(self.Q, effect.derivative)
         B = np.einsum("wif,wik->fk", self.K, E, optimize=True)
         E = E - self.K @ np.linalg.solve(self.normal, B)  # what the parameters do not imitate
-        amplitudes = [p.name for p in effect.variant.effect.amplitudes]
-        step = self.score(effect).values
-        explained = E @ np.array([step[name] for name in amplitudes])
-        left = self.residual + explained if is_explained else self.residual
+        left = self.residual
+        if is_explained:
+            step = self.score(effect).values
+            left = left + E @ np.array([step[p.name] for p in effect.variant.effect.amplitudes])
         scores = np.einsum("wik,wi->wk", E, left, optimize=True)
         white = self.reduced_chi2 * np.einsum("wik,wil->kl", E, E, optimize=True)
         clustered = scores.T @ scores * len(E) / max(len(E) - 1, 1)

@@ -426,12 +426,7 @@ def _exchange_first(
     alone = _fit_effect(base, windows, before, second, progress)
     if alone.result is None:
         return pair
-    rest = [
-        e
-        for e in catalogue
-        if e.acts_on != second.effect.acts_on
-        and not any(p.name in alone.result.model.values for p in e.parameters)
-    ]
+    rest = _effects_beside((alone,), alone.result, catalogue)
     best = _rank(base, windows, alone.result, rest, progress)[0]
     if best.effect.name == first.effect.name or best.result is None:
         return pair
@@ -456,12 +451,7 @@ def _find_further_effect(
     last = chosen[-1].result
     if last is None:
         return None
-    rest = [
-        e
-        for e in catalogue
-        if all(e.acts_on != c.effect.acts_on for c in chosen)
-        and not any(p.name in last.model.values for p in e.parameters)
-    ]
+    rest = _effects_beside(chosen, last, catalogue)
     if not rest:
         return None
     if _scan(base, windows, last, rest, progress)[0].delta_bic < threshold:
@@ -473,6 +463,18 @@ def _find_further_effect(
     if best.delta_bic <= needed or not _is_new(base, windows, best):
         return None
     return None if any(_is_new(base, windows, c) for c in _rivals(best, others)) else best
+
+
+def _effects_beside(
+    chosen: Sequence[EffectCandidate], result: FitResult, catalogue: Sequence[Effect]
+) -> list[Effect]:
+    """Effects that may act beside those of a fit: none that act on the same as one of them."""
+    return [
+        e
+        for e in catalogue
+        if all(e.acts_on != c.effect.acts_on for c in chosen)
+        and not any(p.name in result.model.values for p in e.parameters)
+    ]
 
 
 def _is_new(base: NominalModel, windows: Windows, found: EffectCandidate) -> bool:

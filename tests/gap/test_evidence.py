@@ -111,7 +111,8 @@ def test_a_scan_leaves_out_what_another_effect_stands_for():
 def test_error_that_a_window_shares_inflates_the_variance():
     """White residuals: one, within four standard errors. One error for all 20 rows of a window and
     an effect that is alike in them: the sum has 20 times the variance of white residuals. The
-    effect itself, of one size in all windows, is no scatter.
+    effect itself, of one size in all windows, is no scatter; without it in the fit half a sigma in
+    each of 20 rows adds 20 * 0.25 to the variance of one.
     """
     rng, windows, rows = np.random.default_rng(3), 400, 20
     white = rng.normal(size=(windows, rows))
@@ -124,5 +125,7 @@ def test_error_that_a_window_shares_inflates_the_variance():
         effect = Sensitivities(
             EffectVariant(EFFECTS["extra_drag"], {}), np.ones((windows, rows, 1))
         )
-        found = fitted.inflation(effect)
-        assert found == pytest.approx(expected, rel=4.0 * np.sqrt(2.0 / windows))
+        tolerance = 4.0 * np.sqrt(2.0 / windows)
+        assert fitted.inflation(effect) == pytest.approx(expected, rel=tolerance)
+    unexplained = fitted.inflation(effect, is_explained=False)
+    assert unexplained == pytest.approx(1.0 + 20.0 * 0.25, rel=tolerance)

@@ -10,10 +10,16 @@ import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.effects import CATALOGUE
+from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
+from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.core.flight_table import slice_time
 from falconwing_kit.gap import baseline as baseline_module
 from falconwing_kit.gap import name as name_module
-from falconwing_kit.gap.baseline import VERY_STRONG_EVIDENCE, identify_baseline
+from falconwing_kit.gap.baseline import (
+    VERY_STRONG_EVIDENCE,
+    identify_baseline,
+    with_thrust_curve,
+)
 from falconwing_kit.gap.name import (
     EffectCandidate,
     change_over_baseline,
@@ -289,6 +295,30 @@ def test_the_first_of_two_effects_is_chosen_anew_beside_the_second(monkeypatch):
     assert [c.effect.name for c in exchanged] == ["camera_tilt", "mass_change"]
     assert exchanged[0] is alone
     assert pair_where_a_mass_explains(640.0) == (trim, tilt)
+
+
+def test_a_generic_effect_counts_by_all_residuals():
+    """By the rule: what has a form from physics is judged by the residuals that it leaves."""
+    asked = []
+    reduced = SimpleNamespace(inflation=lambda tried, is_explained: asked.append(is_explained))
+    for effect in (EFFECTS["propeller_torque"], GENERIC_EFFECTS[0]):
+        tried = SimpleNamespace(variant=SimpleNamespace(effect=effect))
+        baseline_module._variance_factor(reduced, tried)
+    assert asked == [True, False]
+
+
+def test_thrust_of_the_nominal_model_is_that_of_a_propeller():
+    """It falls with speed and grows at least as throttle: neither coefficient may be negative, and
+    a start that is goes to zero; the linear part keeps its bounds.
+    """
+    model = rates_model().with_values({"kTV": -0.2})
+    curved = with_thrust_curve(model)
+    low = {p.name: p.low for p in curved.parameters}
+    assert (low["kTV"], low["kTT"], curved.values["kTV"]) == (0.0, 0.0, 0.0)
+    before = {p.name: (p.low, p.high) for p in model.parameters if p.name != "kTV"}
+    after = {p.name: (p.low, p.high) for p in curved.parameters}
+    assert before.items() <= after.items()
+    assert with_thrust_curve(curved) is curved
 
 
 def test_the_completion_tries_four_effects_each_in_its_best_form(monkeypatch):
