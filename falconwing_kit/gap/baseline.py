@@ -406,8 +406,8 @@ def _complete_model(
 def _variance_factor(reduced: SchurComplement, tried: Sensitivities) -> float:
     """Variance factor of an effect's evidence, from the residuals that it leaves.
 
-    Of a generic effect from all residuals: it has no form from physics that would tell an effect
-    from an error of the model, and follows whatever the residuals do.
+    Of a generic effect from all residuals: no form from physics sets it apart from an error of
+    the model, and it follows whatever the residuals do.
     """
     return reduced.inflation(tried, is_explained=tried.variant.effect not in GENERIC_EFFECTS)
 
