@@ -24,7 +24,13 @@ from falconwing_kit.gap.evidence import (
     sensitivities,
 )
 from falconwing_kit.gap.noise import PoseNoiseModel, find_pose_noise, robust_weights, whiten
-from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_initial_states
+from falconwing_kit.sysid.fit import (
+    FitResult,
+    Prior,
+    fit,
+    fit_initial_states,
+    prior_rows,
+)
 from falconwing_kit.sysid.identify import (
     MAX_REDUCED_CHI2,
     MAX_TURN_SHARE,
@@ -335,9 +341,13 @@ def calibrate_nominal_model(
         tried_sensitivities = sensitivities(
             result.model, windows, result.initial_states, list(effect_variants(effects, windows))
         )
+    prior, drift, factor = drift_prior(result, windows, weak)
+    rows, _ = prior_rows(result.model, result.free, prior)
     factors: dict[str, list[float]] = {}
     for c in tried_sensitivities:
-        factors.setdefault(c.variant.effect.name, []).append(_variance_factor(reduced, c))
+        factors.setdefault(c.variant.effect.name, []).append(
+            reduced.inflation(c, rows.T @ rows, factor)
+        )
     inflation = {name: max(1.0, float(np.median(several))) for name, several in factors.items()}
     divisor = np.array([inflation[c.variant.effect.name] for c in tried_sensitivities])
     penalty = np.array([bic_penalty(c.variant.effect, windows) for c in tried_sensitivities])
@@ -348,7 +358,6 @@ def calibrate_nominal_model(
         float(false_alarms[named].max(initial=0.0)),
         float(false_alarms[~named].max(initial=0.0)),
     )
-    prior, drift, factor = drift_prior(result, windows, weak)
     return NominalModel(
         found, noise, result, windows, baseline_chi2, prior, *gains, inflation, drift, weak, factor
     )
@@ -385,7 +394,7 @@ def _complete_model(
         needed = SELECTION_PENALTY + ADDITION_EVIDENCE
         enough: dict[str, tuple[float, Sensitivities]] = {}  # the best variant of each effect
         for effect in tried:
-            gain = reduced.score(effect).delta_chi2 / max(1.0, _variance_factor(reduced, effect))
+            gain = reduced.score(effect).delta_chi2 / max(1.0, reduced.inflation(effect))
             gain -= bic_penalty(effect.variant.effect, windows)
             # Within very strong evidence a form from physics comes before one in proportion to a
             # variable, which at another mean of that variable would be another load.
@@ -395,21 +404,12 @@ def _complete_model(
                 enough[name] = (gain - handicap, effect)
         for _, effect in sorted(enough.values(), key=lambda pair: -pair[0])[:ADDITION_TRIALS]:
             added = _add_to_base(result, windows, reduced.score(effect), weak)
-            inflation = max(1.0, _variance_factor(reduced, effect))
+            inflation = max(1.0, reduced.inflation(effect))
             if added is not None and (result.cost - added.cost) / inflation > needed:
                 result = added
                 break
         else:
             return result, tried
-
-
-def _variance_factor(reduced: SchurComplement, tried: Sensitivities) -> float:
-    """Variance factor of an effect's evidence, from the residuals that it leaves.
-
-    Of a generic effect from all residuals: no form from physics sets it apart from an error of
-    the model, and it follows whatever the residuals do.
-    """
-    return reduced.inflation(tried, is_explained=tried.variant.effect not in GENERIC_EFFECTS)
 
 
 def _add_to_base(

@@ -106,27 +106,46 @@ class SchurComplement:
         known = np.einsum("wik,wik->k", E, E, optimize=True)
         return known - np.einsum("fk,fk->k", B, np.linalg.solve(self.normal, B)), known
 
-    def inflation(self, effect: Sensitivities, is_explained: bool = True) -> float:
-        """Variance of an effect's score between windows over that of white residuals.
+    def inflation(
+        self,
+        effect: Sensitivities,
+        next_prior: Array | None = None,
+        next_factor: float = 1.0,
+    ) -> float:
+        """Variance factor of an effect's score: its variance over that of white residuals.
 
         One where residuals are noise; more where the model errs alike all through a window, so that
-        the same chi2 means less [White 1980; Liang & Zeger 1986, clustered by window].
+        the same chi2 means less [White 1980; Liang & Zeger 1986, clustered by window]. In another
+        flight the parameters come with an error too, which the effect is taken for. With A = K'K +
+        P, B = K'e, D = A^-1 B and E = e - K D for an effect's derivative e, the score and its
+        variance, white and true, are
+
+            sum_w E'r + D'P (k - mean):   chi2 E'E + D'P D   and   sum_w (E'r)(E'r)' + f D'P D,
+
+        where r are the residuals that the effect leaves: what it explains alike in all windows is
+        no scatter.
 
         Args:
             effect: its sensitivities at this fit.
-            is_explained: residuals are those that the effect leaves, as what it explains alike in
-                all windows is no scatter; False: those of the fit without it.
+            next_prior: (F, F) P, precision of the parameters' prior in another flight; None: the
+                effect is judged in this flight, with the parameters that fit it best.
+            next_factor: f, variance factor of that prior.
         """
         E = _project_out(self.Q, effect.derivative)
         B = np.einsum("wif,wik->fk", self.K, E, optimize=True)
-        E = E - self.K @ np.linalg.solve(self.normal, B)  # what the parameters do not imitate
-        left = self.residual
-        if is_explained:
-            step = self.score(effect).values
-            left = left + E @ np.array([step[p.name] for p in effect.variant.effect.amplitudes])
+        step = self.score(effect).values
+        amplitudes = np.array([step[p.name] for p in effect.variant.effect.amplitudes])
+        # What the parameters do not imitate of the effect, when both are fitted to this flight.
+        left = self.residual + (E - self.K @ np.linalg.solve(self.normal, B)) @ amplitudes
+        prior = self.prior if next_prior is None else next_prior
+        across = np.linalg.solve(_regularise(self.normal - self.prior + prior), B)
+        E = E - self.K @ across
         scores = np.einsum("wik,wi->wk", E, left, optimize=True)
-        white = self.reduced_chi2 * np.einsum("wik,wil->kl", E, E, optimize=True)
-        clustered = scores.T @ scores * len(E) / max(len(E) - 1, 1)
+        of_parameters = np.zeros((E.shape[2],) * 2)
+        if next_prior is not None:
+            of_parameters = across.T @ next_prior @ across
+        white = self.reduced_chi2 * np.einsum("wik,wil->kl", E, E, optimize=True) + of_parameters
+        clustered = scores.T @ scores * len(E) / max(len(E) - 1, 1) + next_factor * of_parameters
         if not (np.isfinite(white).all() and np.isfinite(clustered).all()):
             return 1.0
         size = np.sqrt(np.maximum(np.diag(white), 1e-30))

@@ -238,14 +238,12 @@ def _decide(
     distance_squared, n_prior = _prior_distance(adding_up[-1].result or before, base.prior)
     distance_squared /= base.prior_inflation
     mahalanobis = distance_squared / n_prior
-    if chosen:
-        margin = max(threshold, GENERIC_MARGIN * explained_bic)
-        is_generic_better = _evidence_over(base, windows, generic, adding_up) > margin
-    else:  # and no excess over the baseline, no "outside"
-        is_generic_better = (
-            generic.delta_bic > GENERIC_EVIDENCE
-            and _evidence_of_change(base, windows, generic) >= VERY_STRONG_EVIDENCE
-        )
+    needed = max(threshold, GENERIC_MARGIN * explained_bic)
+    is_generic_better = (
+        generic.delta_bic > GENERIC_EVIDENCE
+        and (not chosen or _evidence_over(base, windows, generic, adding_up) > needed)
+        and _is_new(base, windows, generic)  # no excess over the baseline, no "outside"
+    )
     # Parameters that moved so far may imitate any effect, unless that is little compared with what
     # the effect itself explains.
     if is_generic_better or (
@@ -281,7 +279,7 @@ def _evidence_over(
     generic: EffectCandidate,
     named: Sequence[EffectCandidate],
 ) -> float:
-    """Evidence for a generic effect over named ones: both explain the same chi2, in one unit.
+    """Evidence for a generic effect over named ones that explain the same, by the largest factor.
 
     Not the difference of their evidence over the nominal model, since the variance factors differ,
     which say how often each is seen by chance, not which fits better.
@@ -289,7 +287,8 @@ def _evidence_over(
     gained = generic.delta_chi2 - sum(c.delta_chi2 for c in named)
     penalty = bic_penalty(generic.effect, windows) + SELECTION_PENALTY
     penalty -= sum(bic_penalty(c.effect, windows) for c in named)
-    return gained / base.inflation.get(generic.effect.name, 1.0) - penalty
+    factor = max(base.inflation.get(c.effect.name, 1.0) for c in (generic, *named))
+    return gained / factor - penalty
 
 
 def _evidence_between(

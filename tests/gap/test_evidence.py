@@ -111,8 +111,7 @@ def test_a_scan_leaves_out_what_another_effect_stands_for():
 def test_error_that_a_window_shares_inflates_the_variance():
     """White residuals: one, within four standard errors. One error for all 20 rows of a window and
     an effect that is alike in them: the sum has 20 times the variance of white residuals. The
-    effect itself, of one size in all windows, is no scatter; without it in the fit half a sigma in
-    each of 20 rows adds 20 * 0.25 to the variance of one.
+    effect itself, of one size in all windows, is no scatter.
     """
     rng, windows, rows = np.random.default_rng(3), 400, 20
     white = rng.normal(size=(windows, rows))
@@ -127,5 +126,25 @@ def test_error_that_a_window_shares_inflates_the_variance():
         )
         tolerance = 4.0 * np.sqrt(2.0 / windows)
         assert fitted.inflation(effect) == pytest.approx(expected, rel=tolerance)
-    unexplained = fitted.inflation(effect, is_explained=False)
-    assert unexplained == pytest.approx(1.0 + 20.0 * 0.25, rel=tolerance)
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.0])
+@pytest.mark.parametrize("residual_factor", [1.0, 20.0])
+def test_error_of_the_parameters_counts_in_another_flight(factor, residual_factor):
+    """By hand: an effect equal to the only parameter's derivative, one in each of n rows, with a
+    prior as precise as n rows. Half of the effect is then left, so the score's variance n / 2 is in
+    equal parts that of residuals and that of the parameter, each with its own factor.
+    """
+    rng, windows, rows = np.random.default_rng(5), 400, 20
+    residual = rng.normal(size=(windows, rows))
+    if residual_factor > 1.0:
+        residual = np.repeat(residual[:, :1], rows, axis=1)
+    ones = np.ones((windows, rows, 1))
+    fitted = SchurComplement(
+        Q=np.zeros_like(ones), K=ones, residual=residual, prior=np.zeros((1, 1)), reduced_chi2=1.0
+    )
+    effect = Sensitivities(EffectVariant(EFFECTS["extra_drag"], {"drag_added": 0.0}), ones)
+    found = fitted.inflation(effect, np.array([[float(windows * rows)]]), factor)
+    assert found == pytest.approx(
+        (residual_factor + factor) / 2.0, abs=2.0 * residual_factor * np.sqrt(2.0 / windows)
+    )

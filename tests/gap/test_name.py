@@ -297,14 +297,16 @@ def test_the_first_of_two_effects_is_chosen_anew_beside_the_second(monkeypatch):
     assert pair_where_a_mass_explains(640.0) == (trim, tilt)
 
 
-def test_a_generic_effect_counts_by_all_residuals():
-    """By the rule: what has a form from physics is judged by the residuals that it leaves."""
-    asked = []
-    reduced = SimpleNamespace(inflation=lambda tried, is_explained: asked.append(is_explained))
-    for effect in (EFFECTS["propeller_torque"], GENERIC_EFFECTS[0]):
-        tried = SimpleNamespace(variant=SimpleNamespace(effect=effect))
-        baseline_module._variance_factor(reduced, tried)
-    assert asked == [True, False]
+def test_a_generic_effect_and_a_named_one_have_one_variance_factor():
+    """By hand, 1,000 measured components and three parameters against one: 300 against 100 over a
+    factor of 4 is 50, less twice ln(1000) and the price of the best of so many generic effects.
+    """
+    base = SimpleNamespace(inflation={"aileron_loss": 4.0, GENERIC_EFFECTS[0].name: 2.0})
+    named = EffectCandidate(EFFECTS["aileron_loss"], 10.0, 100.0, {}, None)
+    generic = EffectCandidate(GENERIC_EFFECTS[0], 100.0, 300.0, {}, None)
+    over = name_module._evidence_over(base, SimpleNamespace(count=1000), generic, [named])
+    chance = 2.0 * math.log(len(GENERIC_EFFECTS))
+    assert over == pytest.approx(50.0 - 2.0 * math.log(1000.0) - chance)
 
 
 def test_thrust_of_the_nominal_model_is_that_of_a_propeller():
@@ -332,7 +334,7 @@ def test_the_completion_tries_four_effects_each_in_its_best_form(monkeypatch):
     ]
     scores = SimpleNamespace(
         score=lambda effect: SimpleNamespace(delta_chi2=gains[effect.number], effect=effect),
-        inflation=lambda effect, is_explained: 1.0,
+        inflation=lambda effect: 1.0,
     )
     monkeypatch.setattr(baseline_module, "sensitivities", lambda *_: tried)
     monkeypatch.setattr(baseline_module, "SchurComplement", SimpleNamespace(of=lambda *_: scores))
