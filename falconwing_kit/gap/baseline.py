@@ -24,13 +24,7 @@ from falconwing_kit.gap.evidence import (
     sensitivities,
 )
 from falconwing_kit.gap.noise import PoseNoiseModel, find_pose_noise, robust_weights, whiten
-from falconwing_kit.sysid.fit import (
-    FitResult,
-    Prior,
-    fit,
-    fit_initial_states,
-    prior_rows,
-)
+from falconwing_kit.sysid.fit import FitResult, Prior, fit, fit_initial_states, prior_rows
 from falconwing_kit.sysid.identify import (
     MAX_REDUCED_CHI2,
     MAX_TURN_SHARE,

@@ -107,18 +107,15 @@ class SchurComplement:
         return known - np.einsum("fk,fk->k", B, np.linalg.solve(self.normal, B)), known
 
     def inflation(
-        self,
-        effect: Sensitivities,
-        next_prior: Array | None = None,
-        next_factor: float = 1.0,
+        self, effect: Sensitivities, next_prior: Array | None = None, next_factor: float = 1.0
     ) -> float:
         """Variance factor of an effect's score: its variance over that of white residuals.
 
         One where residuals are noise; more where the model errs alike all through a window, so that
         the same chi2 means less [White 1980; Liang & Zeger 1986, clustered by window]. In another
-        flight the parameters come with an error too, which the effect is taken for. With A = K'K +
-        P, B = K'e, D = A^-1 B and E = e - K D for an effect's derivative e, the score and its
-        variance, white and true, are
+        flight like this one the parameters come with an error too, which the effect is taken for.
+        With A = K'K + P, B = K'e, D = A^-1 B and E = e - K D for an effect's derivative e, the
+        score and its variance, white and true, are
 
             sum_w E'r + D'P (k - mean):   chi2 E'E + D'P D   and   sum_w (E'r)(E'r)' + f D'P D,
 
