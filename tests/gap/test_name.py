@@ -212,6 +212,26 @@ def test_a_load_in_both_flights_is_not_outside(monkeypatch, change, verdict):
 
 
 @pytest.mark.parametrize(
+    ("strength", "is_new", "verdict"),
+    [(1e6, True, "outside"), (1e6, False, "named"), (40.0, True, "named")],
+)
+def test_a_generic_load_overrules_a_name_where_it_is_strong_and_new(
+    monkeypatch, strength, is_new, verdict
+):
+    """By the rule: one that fits far better is "outside", unless the baseline flight has it too or
+    its own evidence is below the 50 above which it is taken as real.
+    """
+    best = name_module._best_generic
+    monkeypatch.setattr(
+        name_module, "_best_generic",
+        lambda *args: replace(best(*args), delta_bic=strength, delta_chi2=1e6),
+    )  # fmt: skip
+    monkeypatch.setattr(name_module, "_is_new", lambda *_: is_new)
+    flight = own_flight("adverse_yaw", 20.0, 41, adverse_yaw=0.08)
+    assert name_effect(own_base(), flight).verdict == verdict
+
+
+@pytest.mark.parametrize(
     ("found", "other", "plain", "completed"),
     [
         ("flap", "extra_drag", 0.20, 0.30),  # both act along the flight path
