@@ -347,15 +347,15 @@ _THRUST_CURVE = (
 _ROLL = (
     Parameter("L_0", 0.0, -1.0, 1.0, "1/m^2", "rolling moment at zero angles"),
     Parameter("L_da", 0.75, 0.0, 10.0, "1/m^2", "rolling moment of full aileron"),
-    Parameter("L_beta", -0.30, -10.0, 3.0, "1/(m^2 rad)", "dihedral effect, stable below zero"),
-    Parameter("L_p", -2.0, -15.0, -0.05, "1/m", "roll damping, stable below zero"),
-    Parameter("L_r", 0.3, -4.0, 6.0, "1/m", "roll due to yaw rate"),
+    Parameter("L_beta", -0.30, -20.0, 3.0, "1/(m^2 rad)", "dihedral effect, stable below zero"),
+    Parameter("L_p", -2.0, -10.0, -0.05, "1/m", "roll damping, stable below zero"),
+    Parameter("L_r", 0.3, -4.0, 10.0, "1/m", "roll due to yaw rate"),
 )
 _PITCH = (
     Parameter("M_0", 0.17, -1.0, 2.0, "1/m^2", "pitching moment at zero angles"),
     Parameter("M_de", 0.6, 0.0, 6.0, "1/m^2", "pitching moment of full elevator"),
     Parameter("M_alpha", -2.0, -20.0, 1.0, "1/(m^2 rad)", "pitch stiffness, stable below zero"),
-    Parameter("M_q", -1.1, -12.0, 0.0, "1/m", "pitch damping, stable below zero"),
+    Parameter("M_q", -1.1, -10.0, 0.0, "1/m", "pitch damping, stable below zero"),
 )
 _YAW = (
     Parameter("N_0", 0.0, -1.0, 1.0, "1/m^2", "yawing moment at zero angles"),

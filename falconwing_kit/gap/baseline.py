@@ -145,6 +145,8 @@ def build_nominal_model(
     noise = find_pose_noise(found.result, found.fitted_windows)
     windows = whiten(found.fitted_windows, noise)
     result = fit(start, windows, found.result.initial_states, prior=weak)
+    # With whitened noise an aircraft may turn out far quicker than identification found it.
+    weak = weak_prior(result.model)
     result, weak = _extend_form(found.model, result, windows, weak)
     if noise.has_discrepancy and (found.held_out or found.train).chi2 > MAX_REDUCED_CHI2:
         progress("other starts")
@@ -201,12 +203,12 @@ def _extend_form(
     best, best_prior = result, weak
     for form in extended_models(identified):
         model = with_thrust_curve(form)
+        model = model.with_values({**model.values, **result.model.values})
         prior = weak_prior(model)
         added = len(model.names) - len(result.model.names)
-        values = {**model.values, **result.model.values}
         extended = fit(
-            model.with_values(values), windows, result.initial_states, prior=prior,
-            iterations=FORM_STEPS, tolerance=START_TOLERANCE,
+            model, windows, result.initial_states, prior=prior, iterations=FORM_STEPS,
+            tolerance=START_TOLERANCE,
         )  # fmt: skip
         level = max(1.0, result.cost / degrees_of_freedom(windows, result))
         price = ADDITION_EVIDENCE + added * np.log(max(windows.count, 2))
@@ -214,6 +216,7 @@ def _extend_form(
             best, best_prior = extended, prior
     if best is result:
         return result, weak
+    best_prior = weak_prior(best.model)
     return fit(best.model, windows, best.initial_states, prior=best_prior), best_prior
 
 

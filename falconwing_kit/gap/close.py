@@ -425,7 +425,9 @@ def find_course(
     if guess.delta_bic < step.delta_bic + VERY_STRONG_EVIDENCE:
         return onset
     fitted = _fit_course(base, windows, before, course, guess)
-    return fitted if fitted.delta_bic > onset.delta_bic + VERY_STRONG_EVIDENCE else onset
+    if fitted is None or fitted.delta_bic <= onset.delta_bic + VERY_STRONG_EVIDENCE:
+        return onset
+    return fitted
 
 
 def _scan_courses(
@@ -506,8 +508,11 @@ def _scan_courses(
 
 def _fit_course(
     base: NominalModel, windows: Windows, before: FitResult, course: Course, guess: EffectCandidate
-) -> Onset:
-    """Fit an on-off or a ramp in full; of its two times the one moves that gains more."""
+) -> Onset | None:
+    """Fit an on-off or a ramp in full; of its two times the one moves that gains more.
+
+    None where the flight diverges with it at any time.
+    """
     first, last = float(windows.nodes[0, 0]), float(windows.nodes[-1, -1])
     gated = with_course(guess.effect, course, first, last)
     bounds = {p.name: p for p in gated.parameters}
@@ -522,6 +527,8 @@ def _fit_course(
         better: dict[str, tuple[float, float]] = {}  # time -> cost and value where it is least
         for name in names:
             times, cost = _profile_likelihood(base, windows, result, name)
+            if not np.isfinite(cost).any():
+                return None
             inside = np.flatnonzero(cost < cost.min() + LIKELIHOOD_DROP * base.reduced_chi2)
             intervals[name] = (
                 float(times[max(inside[0] - 1, 0)]),

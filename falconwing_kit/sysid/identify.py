@@ -46,6 +46,8 @@ START_SPEED = 7.0  # [m/s] of the 150 g aircraft that the starting values descri
 # Least weights of a fit: the distance flown in 2 ms, and half a degree.
 LEAST_SIGMA_S, LEAST_SIGMA_ANGLE = 0.002, 0.01
 WEAK_PRIOR = 3.0  # of a parameter's typical size: a prior that decides where the flight does not
+# A derivative and the share of another one that is typical of it [Nelson, app. B].
+TYPICAL_SHARE = {"L_beta": ("N_beta", 2.0), "L_r": ("L_p", 0.25), "N_p": ("N_r", 0.5)}
 MIN_IMPROVEMENT = 10.0  # chi2 by which a second local minimum must be better to be taken
 MARKER_SIGMA = np.array([0.03] * 3 + [0.01] * 3)  # [m, rad] of a pose from a printed marker
 PRECISE_SHARE = 0.5  # of a marker's noise: finer poses are motion capture's
@@ -250,11 +252,19 @@ def _require_motion(flights: Sequence[PreparedFlight]) -> None:
 def weak_prior(model: Model) -> Prior:
     """Each parameter near where the fit starts, to three times its typical size.
 
-    A flight that excites a parameter outweighs it by far; one that does not leaves it there. By a
-    product of inertia each rolling moment also yaws the aircraft [Beard & McLain, eq. 3.13], and
-    N_p may be as large as L_p.
+    A flight that excites a parameter outweighs it by far; one that does not leaves it there. The
+    typical size is that of the start, or of the model's value where that is larger: an aircraft of
+    other moments of inertia has all of its derivatives larger together.
+
+    Typical of an aircraft is, too, a dihedral effect of twice its weathercock stiffness, a roll due
+    to yaw rate of a quarter of its roll damping, and a yaw due to roll rate of half its yaw damping
+    [Nelson, app. B]; by a product of inertia each rolling moment also yaws it [Beard & McLain, eq.
+    3.13], and N_p may be as large as L_p.
     """
-    size = {p.name: ordinary_size(p, p.start) for p in model.parameters}
+    size = {p.name: ordinary_size(p, model.values[p.name]) for p in model.parameters}
+    for name, (other, share) in TYPICAL_SHARE.items():
+        if model.form == "rates" and {name, other} <= size.keys():
+            size[name] = max(size[name], share * size[other])
     if CROSS_MOMENTS in model.terms:
         size["N_p"] = max(size["N_p"], size["L_p"])
     sigma = {name: WEAK_PRIOR * typical for name, typical in size.items()}

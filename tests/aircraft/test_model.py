@@ -110,7 +110,7 @@ def test_a_pinned_parameter_has_no_room():
     model = rates_model().with_values({"L_p": -3.0}).with_fixed(["L_p"])
     bounds = {p.name: (p.low, p.high) for p in model.parameters}
     assert bounds["L_p"] == (-3.0, -3.0)
-    assert bounds["L_r"] == (-4.0, 6.0)
+    assert bounds["L_r"] == (-4.0, 10.0)
 
 
 def test_an_added_force_accelerates_by_its_size():

@@ -193,6 +193,19 @@ def test_an_effect_with_which_the_flight_diverges_has_no_onset(monkeypatch):
     assert find_onset(own_base(), windows, before, possible("thrust_loss")) is None
 
 
+def test_an_effect_with_which_the_flight_diverges_has_no_end(monkeypatch):
+    """A wind that blows for 17 s, but no finite likelihood at any begin or end: the onset stays."""
+    blowing = changing(
+        "wind", lambda t: (t >= 14.3) & (t < 31.7), 45.0, 51, wind_x=0.5, wind_y=-0.3
+    )
+    windows, before = fitted(blowing)
+    onset = find_onset(own_base(), windows, before, possible("wind"))
+    monkeypatch.setattr(
+        close, "_profile_likelihood", lambda *_: (np.array([1.0, 2.0]), np.array([np.inf, np.inf]))
+    )
+    assert find_course(own_base(), windows, before, possible("wind"), onset) is onset
+
+
 @pytest.mark.parametrize(
     ("name", "course", "begin", "end", "tolerance", "values"),
     [
