@@ -12,7 +12,7 @@ from falconwing_kit.aircraft.model import paper_model, rates_model
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.flight_table import slice_time
 from falconwing_kit.sysid.fit import Prior
-from falconwing_kit.sysid.identify import describes_flight, identify, refit_model
+from falconwing_kit.sysid.identify import describes_flight, identify, refit_model, weak_prior
 from tests.benchmarks.foreign_flights import make_case
 from tests.jsbsim_aircraft import JsbsimAircraft, figure_eights, fly_jsbsim
 from tests.sysid.recorded import CASES, calm_flight
@@ -305,6 +305,23 @@ def test_a_prior_pulls_its_parameter():
     found, plain = identify([table], prior=prior), example_found()
     assert found.model.values["kT"] == pytest.approx(truth.values["kT"], rel=3e-3)
     assert found.uncertainty.sigma["kTV"] < 0.5 * plain.uncertainty.sigma["kTV"]
+
+
+def test_the_weak_prior_grows_with_the_aircraft():
+    """Three typical sizes wide, around the start. By hand, for roll damping of four times its start
+    of -2.0 and weathercock stiffness of ten times 0.73: 24, 3 x 2 x 7.3 = 43.8 for the dihedral
+    effect, 3 x 8 / 4 = 6 for roll due to yaw rate. Of the start itself 6, 4.38 and 1.5; yaw damping
+    of -0.4 makes it 0.6 for yaw due to roll rate. The ratios are those of Nelson, app. B: a Navion
+    has L_beta / N_beta = -15.98 / 4.49, L_r / L_p = 2.19 / -8.4, N_p / N_r = -0.35 / -0.76.
+    """
+    model = rates_model()
+    starts = {p.name: p.start for p in model.parameters}
+    at_start = weak_prior(model.with_values(starts))
+    quick = weak_prior(model.with_values({"L_p": -8.0, "N_beta": 7.3}))
+    assert quick.mean == at_start.mean == starts
+    names = ("L_p", "L_beta", "L_r", "N_p")
+    assert [at_start.sigma[n] for n in names] == pytest.approx([6.0, 4.38, 1.5, 0.6])
+    assert [quick.sigma[n] for n in names] == pytest.approx([24.0, 43.8, 6.0, 0.6])
 
 
 def test_refitting_the_found_model_changes_nothing():
