@@ -30,6 +30,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE
+from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.baseline import (
     GENERIC_EVIDENCE,
@@ -504,9 +505,15 @@ def _rank(
     known: Sequence[EffectCandidate] = (),
     tolerance: float = 0.1,
 ) -> list[EffectCandidate]:
-    """Linear scan of every effect, then full fits of the best, from an earlier round if known."""
+    """Linear scan of every effect, then full fits of the best, from an earlier round if known.
+
+    Of the forms of an effect the one that scans best is fitted; the next one too, where that is not
+    identifiable.
+    """
     earlier = {c.effect.parameters: c for c in known if c.result is not None}
-    open_ = _scan(base, windows, before, catalogue, progress)
+    forms = _scan_forms(base, windows, before, catalogue, progress)
+    open_ = _best_forms(forms)
+    other_forms = [c for c in forms if c not in open_]
     fitted: list[EffectCandidate] = []
     while open_:
         best = max((c.delta_bic for c in fitted), default=-np.inf)
@@ -516,17 +523,21 @@ def _rank(
         if hopeless or next_best < -VERY_STRONG_EVIDENCE:
             break
         initial_guess = open_.pop(0)
-        fitted.append(
-            _fit_effect(
-                base,
-                windows,
-                before,
-                initial_guess,
-                progress,
-                earlier.get(initial_guess.effect.parameters),
-                tolerance,
-            )
+        candidate = _fit_effect(
+            base,
+            windows,
+            before,
+            initial_guess,
+            progress,
+            earlier.get(initial_guess.effect.parameters),
+            tolerance,
         )
+        others = [c for c in other_forms if c.effect.name == candidate.effect.name]
+        if candidate.is_identifiable or not others:
+            fitted.append(candidate)
+        else:
+            other_forms.remove(others[0])
+            open_ = sorted([*open_, others[0]], key=lambda c: -c.delta_bic)
     return _best_first(base, windows, [*fitted, *open_])
 
 
@@ -564,19 +575,37 @@ def _scan(
     progress: Progress,
 ) -> list[EffectCandidate]:
     """Linear evidence of every effect at its best scan point, best first; one form per name."""
+    return _best_forms(_scan_forms(base, windows, before, catalogue, progress))
+
+
+def _best_forms(candidates: Sequence[EffectCandidate]) -> list[EffectCandidate]:
+    """Of the forms of each effect the best; in the order given, best first."""
+    best: dict[str, EffectCandidate] = {}
+    for candidate in candidates:
+        best.setdefault(candidate.effect.name, candidate)
+    return list(best.values())
+
+
+def _scan_forms(
+    base: NominalModel,
+    windows: Windows,
+    before: FitResult,
+    catalogue: Sequence[Effect],
+    progress: Progress,
+) -> list[EffectCandidate]:
+    """Linear evidence of every form of every effect at its best scan point, best first."""
     progress("scanning effects")
     reduced = SchurComplement.of(before, base.prior, base.reduced_chi2)
-    best: dict[str, EffectCandidate] = {}
+    best: dict[tuple[Parameter, ...], EffectCandidate] = {}
     for tried in sensitivities(
         before.model, windows, before.initial_states, list(effect_variants(catalogue, windows))
     ):
         effect, score = tried.variant.effect, reduced.score(tried)
         evidence = score.delta_chi2 / base.inflation.get(effect.name, 1.0)
         delta_bic = evidence - bic_penalty(effect, windows)
-        if effect.name not in best or delta_bic > best[effect.name].delta_bic:
-            best[effect.name] = EffectCandidate(
-                effect, delta_bic, score.delta_chi2, score.values, None
-            )
+        form = effect.parameters
+        if form not in best or delta_bic > best[form].delta_bic:
+            best[form] = EffectCandidate(effect, delta_bic, score.delta_chi2, score.values, None)
     return sorted(best.values(), key=lambda c: -c.delta_bic)
 
 

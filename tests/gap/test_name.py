@@ -384,7 +384,7 @@ def test_no_full_fit_far_below_the_best(monkeypatch):
             EffectCandidate(effect, gain, gain, {}, None)
             for effect, gain in zip(EFFECTS.values(), evidence, strict=False)
         ]
-        monkeypatch.setattr(name_module, "_scan", lambda *_: open_)
+        monkeypatch.setattr(name_module, "_scan_forms", lambda *_: open_)
         monkeypatch.setattr(name_module, "_best_first", lambda base, windows, ranking: ranking)
         ranking = name_module._rank(None, None, None, (), print)
         assert [c.delta_bic for c in ranking] == list(evidence)
@@ -393,6 +393,31 @@ def test_no_full_fit_far_below_the_best(monkeypatch):
     monkeypatch.setattr(name_module, "_fit_effect", fit_effect)
     assert count(1000.0, 150.0, 99.0, 98.0) == (1000.0, 150.0)
     assert count(60.0, 50.0, 20.0, 7.0, -11.0) == (60.0, 50.0, 20.0, 7.0)
+
+
+@pytest.mark.parametrize(("is_identifiable", "left"), [(True, "mount"), (False, "tilt")])
+def test_a_form_that_is_not_identifiable_gives_way_to_the_next(monkeypatch, is_identifiable, left):
+    """A camera turned in pitch and roll alone: the form with yaw scans a little better, by chance,
+    but its yaw may be zero. The one without yaw then stands for the effect, or nothing would.
+    """
+    tilt, mount = (e for e in CATALOGUE if e.name == "camera_tilt")
+    scanned = [
+        EffectCandidate(mount, 1010.0, 1030.0, {}, None),
+        EffectCandidate(tilt, 1000.0, 1010.0, {}, None),
+        EffectCandidate(EFFECTS["trim_bias"], 500.0, 520.0, {}, None),
+    ]
+
+    def fit_effect(base, windows, before, guess, *_):
+        if guess.effect is mount and not is_identifiable:
+            return replace(guess, result="a fit", delta_bic=0.0, is_identifiable=False)
+        return replace(guess, result="a fit")
+
+    monkeypatch.setattr(name_module, "_scan_forms", lambda *_: scanned)
+    monkeypatch.setattr(name_module, "_fit_effect", fit_effect)
+    monkeypatch.setattr(name_module, "_best_first", lambda base, windows, ranking: ranking)
+    ranking = name_module._rank(None, None, None, (), print)
+    assert [c.effect.name for c in ranking] == ["camera_tilt", "trim_bias"]
+    assert ranking[0].effect is {"mount": mount, "tilt": tilt}[left]
 
 
 class Rows:
