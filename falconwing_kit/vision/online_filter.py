@@ -63,11 +63,11 @@ class FilterSettings:
     """Noise, gates and times of the filter."""
 
     # Process noise of a step of 50 ms, as standard deviations: what the model leaves out. Chosen on
-    # seeds of tuning: less averages the network's errors over longer (0.06 and 0.3: 4 cm beside the
-    # centre line instead of 5), but lands another simulator's aircraft worse (24 cm, not 14); more
-    # (0.25 and 1) follows these errors (12 and 20 cm).
+    # seeds of tuning: less averages the network's errors over longer, more follows these errors.
+    # Moments of controls are known least, and grow with speed squared: with 0.5 rad/s an aircraft
+    # that rolled faster than its model was taken for one that flies 5 m/s faster.
     velocity_noise: float = 0.1  # [m/s]
-    rate_noise: float = 0.5  # [rad/s]
+    rate_noise: float = 1.0  # [rad/s]
     # Similar images have similar errors, so a pose counts as this many: R is multiplied by it.
     correlation: float = 2.0
     # Poses whose own standard deviations reach these are left out: some are off by many metres.
