@@ -344,6 +344,7 @@ _THRUST = (
 _THRUST_CURVE = (
     Parameter("kTT", 0.0, -60.0, 60.0, "m/s^2", "thrust that grows with throttle squared"),
 )
+# L_p and M_q stay where steps of 25 ms follow them: below -10 at 7 m/s a rate decays in 14 ms.
 _ROLL = (
     Parameter("L_0", 0.0, -1.0, 1.0, "1/m^2", "rolling moment at zero angles"),
     Parameter("L_da", 0.75, 0.0, 10.0, "1/m^2", "rolling moment of full aileron"),

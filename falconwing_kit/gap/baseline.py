@@ -200,24 +200,23 @@ def _extend_form(
         windows: what it was fitted to.
         weak: its prior.
     """
-    best, best_prior = result, weak
+    best = result
     for form in extended_models(identified):
         model = with_thrust_curve(form)
         model = model.with_values({**model.values, **result.model.values})
-        prior = weak_prior(model)
         added = len(model.names) - len(result.model.names)
         extended = fit(
-            model, windows, result.initial_states, prior=prior, iterations=FORM_STEPS,
+            model, windows, result.initial_states, prior=weak_prior(model), iterations=FORM_STEPS,
             tolerance=START_TOLERANCE,
         )  # fmt: skip
         level = max(1.0, result.cost / degrees_of_freedom(windows, result))
         price = ADDITION_EVIDENCE + added * np.log(max(windows.count, 2))
         if extended.cost + level * price < best.cost and _exceeds_drift(extended.model, result):
-            best, best_prior = extended, prior
+            best = extended
     if best is result:
         return result, weak
-    best_prior = weak_prior(best.model)
-    return fit(best.model, windows, best.initial_states, prior=best_prior), best_prior
+    prior = weak_prior(best.model)
+    return fit(best.model, windows, best.initial_states, prior=prior), prior
 
 
 def _exceeds_drift(model: Model, without: FitResult) -> bool:
