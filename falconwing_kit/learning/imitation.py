@@ -181,15 +181,18 @@ def imitate(
     seconds, data = 60.0 * schedule.minutes, list[Flown]()
     seed, share = 10_000_000 * (schedule.seed + 1), schedule.flights // len(fleets)
     _prepare(fleets, task, seed, schedule.flights, ranges)
+    _warm_up(views)
+    ready = [fleet.begin() for fleet in fleets]
     for number in range(schedule.rounds):
         mixing = schedule.mixing[number] if number < len(schedule.mixing) else 0.0
         t = time.perf_counter()
+        situations = ready if number == 0 else [fleet.begin() for fleet in fleets]
         turns = [learners[(number * len(fleets) + k) % len(learners)] for k in range(len(fleets))]
         rollouts = [
-            Rollout(fleet, learner, views, fleet.begin(), mixing=mixing, noise=True, keeps=True,
+            Rollout(fleet, learner, views, drawn, mixing=mixing, noise=True, keeps=True,
                     look=FlightAppearance(share, learner.generator).apply,
                     fine=bool((number + k) % 2))
-            for k, (fleet, learner) in enumerate(zip(fleets, turns, strict=True))
+            for k, (fleet, learner, drawn) in enumerate(zip(fleets, turns, situations, strict=True))
         ]  # fmt: skip
         fly_all(rollouts)
         outcomes = [fleet.outcomes() for fleet in fleets]
@@ -221,6 +224,15 @@ def imitate(
     for fleet in fleets:
         fleet.begin()  # the flights that were prepared are not flown
     return data
+
+
+def _warm_up(views: PolicyViews) -> None:
+    """Render once in both sizes: a renderer may compile its kernels at its first image.
+
+    That takes longer than a round of flights, and a round's time sets how long is trained after it.
+    """
+    for fine in (False, True):
+        views.render(np.eye(4)[None], np.eye(4)[None], fine)
 
 
 def _newest(data: list[Flown], most: int, device: str) -> list[Flown]:
