@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from falconwing_kit.learning import imitation
 from falconwing_kit.learning.flights import AUXILIARY, Fleet
-from falconwing_kit.learning.imitation import Rollout, fly_all
+from falconwing_kit.learning.imitation import Rollout, fly_all, imitate
 from falconwing_kit.learning.learner import Flown, Learner, Schedule, draw_batch
 from falconwing_kit.learning.situations import NOMINAL, draw_situation
 from falconwing_kit.vision.policy import PolicyShape
@@ -111,3 +112,27 @@ def test_a_situation_of_the_rollout_is_the_fleets():
     fleet = Fleet(0)
     fleet.prepare([("landing", 60, NOMINAL, MOUNT)])
     assert np.array_equal(fleet.begin()[0].start.vector, situation.start.vector)
+
+
+class CompilingViews(NumberedViews):
+    """Images whose first in each size takes 100 s of a clock that nothing else advances."""
+
+    def __init__(self):
+        super().__init__([0.0])
+        self.compiled, self.now = set(), 0.0
+
+    def render(self, Ts_world_camera, Ts_world_leader, fine):
+        if fine not in self.compiled:
+            self.compiled.add(fine)
+            self.now += 100.0
+        return super().render(Ts_world_camera, Ts_world_leader, fine)
+
+
+def test_a_renderer_that_compiles_does_not_lengthen_the_first_round(monkeypatch):
+    """Training lasts as long as the round's flying before it, so that would be too long."""
+    views = CompilingViews()
+    monkeypatch.setattr(imitation.time, "perf_counter", lambda: views.now)
+    learner = Learner(SHAPE, Schedule(flights=2, rounds=1, minutes=0.0, batch=2), "cpu")
+    records = []
+    imitate([learner], views, [Fleet(0)], "landing", NOMINAL, records.append)
+    assert records[0]["flying_s"] == 0.0
