@@ -284,6 +284,26 @@ def _scale(model: Model, *, area_per_mass: float, length: float) -> Model:
     return replace(model, parameters=tuple(map(resize, model.parameters)), values=values)
 
 
+def add_scaled_terms(model: Model, *terms: Term) -> Model:
+    """A 12-state model with further terms, whose start values and bounds suit its aircraft's size.
+
+    Terms hold those of the 150 g aircraft. Here they are scaled as the model was, by its rolling
+    moment of the ailerons: the cross moments of a large aircraft are as small as its other moments.
+    """
+    small = rates_model()
+    start, usual = (next(p.start for p in m.parameters if p.name == "L_da") for m in (model, small))
+    length = abs(usual / start) ** 0.5 if start else 1.0
+    scaled = {
+        p.name: p
+        for p in _scale(small.with_terms(*terms), area_per_mass=1.0, length=length).parameters
+    }
+    extended = model.with_terms(*terms)
+    new = [scaled[name] for name in extended.names if name not in model.names]
+    kept = {p.name: p for p in (*new, *model.parameters)}
+    parameters = tuple(kept[name] for name in extended.names)
+    return replace(extended, parameters=parameters).with_values({p.name: p.start for p in new})
+
+
 def add_uniform_wind(model: Model, wind_x: float = 0.0, wind_y: float = 0.0) -> Model:
     """The model in a uniform wind; its velocity in world axes [m/s] becomes two parameters."""
     return model.with_terms(UNIFORM_WIND).with_values({"wind_x": wind_x, "wind_y": wind_y})

@@ -160,7 +160,7 @@ def _set_aside(
     while len(aside) < MAX_SET_ASIDE and ranking[0].delta_bic > threshold:
         best = ranking[0]
         change = _evidence_of_change(base, windows, best)
-        if best.result is None or change >= VERY_STRONG_EVIDENCE:
+        if best.result is None or change >= _needed_change(base, best):
             new = best
             break
         aside.append(replace(best, delta_bic=min(best.delta_bic, change)))
@@ -215,11 +215,7 @@ def _decide(
             )
             ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
     # No excess over the baseline, no name: the same effect may be in both flights.
-    if (
-        chosen
-        and chosen[0] is not new
-        and _evidence_of_change(base, windows, chosen[0]) < VERY_STRONG_EVIDENCE
-    ):
+    if chosen and chosen[0] is not new and not _is_new(base, windows, chosen[0]):
         verdict, chosen = "none", ()
     # Outside where the chosen effects leave most of the excess, or nothing explains it.
     adding_up = chosen if verdict == "named" else ranking[:1]
@@ -479,7 +475,17 @@ def _effects_beside(
 
 def _is_new(base: NominalModel, windows: Windows, found: EffectCandidate) -> bool:
     """Whether an effect is in the flight alone rather than in both flights."""
-    return _evidence_of_change(base, windows, found) >= VERY_STRONG_EVIDENCE
+    return _evidence_of_change(base, windows, found) >= _needed_change(base, found)
+
+
+def _needed_change(base: NominalModel, found: EffectCandidate) -> float:
+    """Evidence of a change that an effect in both flights cannot have.
+
+    An error of its formula leaves residuals in either flight that differ, so that an aircraft which
+    stalls in both seems to stall a little more in one.
+    """
+    evidence = found.delta_chi2 / base.inflation.get(found.effect.name, 1.0)
+    return max(VERY_STRONG_EVIDENCE, FORMULA_ERROR * evidence)
 
 
 def _formula_error(base: NominalModel, found: EffectCandidate, other: Effect) -> float:

@@ -7,7 +7,14 @@ from itertools import chain
 
 import numpy as np
 
-from falconwing_kit.aircraft.model import FORMS, Form, Model, rates_model, scale_model_to_speed
+from falconwing_kit.aircraft.model import (
+    FORMS,
+    Form,
+    Model,
+    add_scaled_terms,
+    rates_model,
+    scale_model_to_speed,
+)
 from falconwing_kit.aircraft.terms import ATTITUDE_HOLD, CROSS_MOMENTS, UNBOUNDED_GYROSCOPIC
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.flight_table import FlightTable
@@ -38,7 +45,7 @@ COARSE_WINDOWS = 60  # short windows of the coarse start; more would only cost t
 CORRELATED_SHARE = 0.5  # largest share of the noise variance that is slow; the rest is misfit
 COARSE_TOLERANCE = 1.0  # a start need not be exact
 LOST_SIGMAS = 1e4  # a residual beyond: the prediction has left the flight
-HOLD_START = -0.05  # where a fit of the attitude hold starts [1/(m^2 rad)]
+HOLD_SHARE = 0.1  # of a usual attitude hold, where a fit of one starts
 GOOD_START_TURN_SHARE = 0.1  # of a constant turn's errors over short windows
 GOOD_START_CHI2 = 1.5  # chi2 per component of short windows; above it another start is tried
 SPEED_RATIO = 1.5  # of the flight's speed to the start's; beyond, a scaled aircraft is tried first
@@ -388,8 +395,9 @@ def extended_models(model: Model) -> list[Model]:
         t.name for t in rates_model().terms
     }:
         return []
-    held = {p.name: HOLD_START for p in ATTITUDE_HOLD.parameters}
-    return [_with_cross_moments(model), model.with_terms(ATTITUDE_HOLD).with_values(held)]
+    held = add_scaled_terms(model, ATTITUDE_HOLD)
+    starts = {p.name: HOLD_SHARE * held.values[p.name] for p in ATTITUDE_HOLD.parameters}
+    return [_with_cross_moments(model), held.with_values(starts)]
 
 
 def _with_cross_moments(model: Model) -> Model:
@@ -413,7 +421,8 @@ def _with_cross_moments(model: Model) -> Model:
             if p.name in mixed
         }
     parameters = tuple(wide.get(p.name, p) for p in model.parameters)
-    return replace(model, terms=terms, parameters=parameters).with_terms(CROSS_MOMENTS)
+    unbounded = replace(model, terms=terms, parameters=parameters)
+    return add_scaled_terms(unbounded, CROSS_MOMENTS)
 
 
 def _diverges(residual: Array) -> bool:

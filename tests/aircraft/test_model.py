@@ -12,13 +12,20 @@ from falconwing_kit.aircraft.inputs import actuator_response
 from falconwing_kit.aircraft.integrate import roll_out
 from falconwing_kit.aircraft.model import (
     FORMS,
+    add_scaled_terms,
     add_uniform_wind,
     paper_model,
     rates_model,
     scale_model,
     scale_model_to_speed,
 )
-from falconwing_kit.aircraft.terms import Parameter, Term, WindTerm
+from falconwing_kit.aircraft.terms import (
+    ATTITUDE_HOLD,
+    CROSS_MOMENTS,
+    Parameter,
+    Term,
+    WindTerm,
+)
 from falconwing_kit.aircraft.trim import trim
 from falconwing_kit.core.checks import InputError
 from tests.jsbsim_aircraft import JsbsimAircraft, figure_eights, fly_jsbsim
@@ -455,3 +462,21 @@ def test_an_impossible_speed_is_refused(airspeed):
     """No aircraft of this kind flies at it."""
     with pytest.raises(InputError, match="airspeed"):
         scale_model_to_speed(rates_model(), airspeed)
+
+
+def test_terms_added_to_a_scaled_model_have_its_size():
+    """By similarity angular accelerations per V^2 go with 1/span^2: of a 10 m aircraft 0.0049 of
+    those of 0.70 m. What it had before stays as it was.
+    """
+    large = scale_model(rates_model(), 1200.0, 17.0, 10.0).with_values({"L_da": 0.002})
+    model = add_scaled_terms(large, CROSS_MOMENTS, ATTITUDE_HOLD)
+    known = {p.name: p for p in (*CROSS_MOMENTS.parameters, *ATTITUDE_HOLD.parameters)}
+    for p in model.parameters:
+        if p.name in ("Gamma_1", "Gamma_6"):  # ratios
+            assert p == known[p.name]
+        elif p.name in known:
+            expected = [0.0049 * x for x in (known[p.name].low, known[p.name].high)]
+            assert [p.low, p.high] == pytest.approx(expected)
+            assert model.values[p.name] == pytest.approx(0.0049 * known[p.name].start)
+        else:
+            assert p in large.parameters and model.values[p.name] == large.values[p.name]

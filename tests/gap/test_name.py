@@ -196,6 +196,15 @@ def test_an_effect_in_both_flights_hides_no_other(monkeypatch):
     assert new is flap
 
 
+@pytest.mark.parametrize(("change", "is_new"), [(95.0, False), (97.0, True)])
+def test_a_change_within_the_error_of_a_formula_is_none(monkeypatch, change, is_new):
+    """By hand: a formula wrong by 20 % leaves 0.2^2 of 2,400, which is 96, in either flight."""
+    stall = EffectCandidate(EFFECTS["stall"], 2390.0, 2400.0, {}, wind_study().naming.before)
+    monkeypatch.setattr(name_module, "_evidence_of_change", lambda *_: change)
+    base = replace(own_base(), inflation={"stall": 1.0})
+    assert name_module._is_new(base, None, stall) is is_new
+
+
 @pytest.mark.parametrize(("change", "verdict"), [(2.0, "none"), (40.0, "outside")])
 def test_a_load_in_both_flights_is_not_outside(monkeypatch, change, verdict):
     """By the rule: in a flight without excess a generic load counts where it is a change of more
