@@ -285,10 +285,14 @@ def _scale(model: Model, *, area_per_mass: float, length: float) -> Model:
 
 
 def add_scaled_terms(model: Model, *terms: Term) -> Model:
-    """A 12-state model with further terms, whose start values and bounds suit its aircraft's size.
+    """A 12-state model with further terms, at the size of the model's aircraft.
 
-    Terms hold those of the 150 g aircraft. Here they are scaled as the model was, by its rolling
-    moment of the ailerons: the cross moments of a large aircraft are as small as its other moments.
+    Terms hold the start values and bounds of the 150 g aircraft. They are scaled as `scale_model`
+    scales moments, with 1 / span^2, the span by the start value of L_da.
+
+    Args:
+        model: of form "rates"; what it has stays as it is.
+        terms: whose parameters are new to it, of moments or without dimension.
     """
     small = rates_model()
     start, usual = (next(p.start for p in m.parameters if p.name == "L_da") for m in (model, small))
