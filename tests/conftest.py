@@ -22,6 +22,13 @@ def pytest_collection_modifyitems(items):
         items.sort(key=lambda item: place_in_line(item.path))
 
 
+@pytest.fixture(autouse=True)
+def same_random_numbers():
+    """PyTorch's own generator starts anew in each test, whatever ran before it in the process."""
+    if "torch" in sys.modules:
+        sys.modules["torch"].manual_seed(0)
+
+
 @pytest.fixture(scope="session")
 def ros_master(tmp_path_factory):
     """The address of a real roscore; one for all, because a process can be a ROS node only once."""
