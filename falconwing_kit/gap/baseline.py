@@ -428,6 +428,7 @@ def _add_to_base(
         prior=weak,
         iterations=10,
         tolerance=ADDITION_TOLERANCE,
+        shrink=[p.name for p in effect.amplitudes],
     )
 
 

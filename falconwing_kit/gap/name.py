@@ -638,8 +638,9 @@ def _fit_effect(
     if earlier is not None and earlier.result is not None:
         model, initial_states = earlier.result.model, earlier.result.initial_states
     result = fit(
-        model, windows, initial_states, prior=base.prior, iterations=15, tolerance=tolerance
-    )
+        model, windows, initial_states, prior=base.prior, iterations=15, tolerance=tolerance,
+        shrink=[p.name for p in effect.amplitudes],
+    )  # fmt: skip
     if result.cost > before.cost:  # the linear step was too long: start from a tenth of it
         small = model.with_values({p.name: 0.1 * values[p.name] for p in effect.amplitudes})
         result = fit(

@@ -5,7 +5,7 @@ own window, so it is solved for in closed form (QR) and drops out; a small probl
 remains [Golub & Pereyra 2003, variable projection; Jategaonkar, ch. 4].
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +16,18 @@ from falconwing_kit.sysid.shooting import (
     Windows,
     jacobian,
     pose_residuals,
+    residual_sets,
     select_windows,
 )
 
 HUBER = 3.0  # residuals beyond this many sigmas count linearly [Huber 1964]
 DIVERGED_COST = 1e12  # of a window whose prediction overflows: fewer of them is a better fit
 STANDS_OUT = 3.0  # a window whose cost is so many times the median may be in a local minimum
-SHORTENINGS = 8  # tries of one step, each with more damping
+# Where a full step fails, steps with so much more damping are tried, and of the correction of its
+# initial state every window takes the share that suits it.
+LEAST_DAMPING, DAMPINGS = 1e-5, np.array([0.0, 1.0, 1e2, 1e4, 1e6, 1e8])
+SHARES = np.array([1.0, 0.3, 0.0])
+SHRUNK = np.array([0.3, 0.1, 0.03, 0.01])  # of a first guess that diverges
 
 
 @dataclass(frozen=True)
@@ -125,6 +130,7 @@ def fit(
     tolerance: float = 0.1,
     linear: tuple[Array, Array, Array] | None = None,
     on_step: Callable[[int, float], None] | None = None,
+    shrink: Sequence[str] = (),
 ) -> FitResult:
     """Fit K and all initial states to the windows: Levenberg-Marquardt on the reduced problem.
 
@@ -138,80 +144,191 @@ def fit(
             its sigma).
         linear: residual and derivatives at the first guess, if already computed.
         on_step: called after each Gauss-Newton step with its number and the cost per measurement.
+        shrink: names of parameters that begin smaller where the first guess diverges, such as the
+            size of an effect, which is nothing at zero.
 
     Returns:
         The fit; `converged` is False where it ran out of iterations.
     """
-    free = tuple(i for i, p in enumerate(model.parameters) if p.high > p.low)
-    here = list(free)
-    low = np.array([model.parameters[i].low for i in free])
-    high = np.array([model.parameters[i].high for i in free])
-    prior_factor, prior_mean = prior_rows(model, free, prior)
-    vector, damping, converged, refitted, step_count = model.vector, 0.0, False, False, 0
-    linear = linear or jacobian(model, windows, initial_states, free)
-    cost = _cost(linear[0], prior_factor, prior_mean, vector[here])
-    if cost > DIVERGED_COST:  # the first guess diverges somewhere: begin with the initial states
+    problem = _Problem.of(model, windows, prior)
+    here = problem.point(model.vector, initial_states, linear)
+    if here.cost > DIVERGED_COST and shrink:
+        here = problem.point(problem.shrunk(here, shrink), initial_states)
+    if here.cost > DIVERGED_COST:  # the first guess diverges somewhere: begin with initial states
+        model = model.with_vector(here.vector)
         initial_states, _ = fit_initial_states(model, windows, initial_states, iterations=3)
-        linear = jacobian(model, windows, initial_states, free)
-        cost = _cost(linear[0], prior_factor, prior_mean, vector[here])
+        here = problem.point(here.vector, initial_states)
+    damping, shortened, converged, step_count = 0.0, False, False, 0
     while step_count < iterations and not converged:
-        # Normal equations in K alone (F, F), (F,), with the prior as further rows.
-        normal, gradient, back_substitute, state_reduction = _eliminate_initial_states(
-            *_drop_diverged_windows(*linear)
-        )
-        normal += prior_factor.T @ prior_factor
-        gradient += prior_factor.T @ (prior_factor @ (vector[here] - prior_mean))
-        new_cost = np.inf
-        predicted = _predicted_reduction(normal, gradient, vector[here], low, high)
-        # After initial states had to be refitted, the reduction predicted for them is unreachable.
-        predicted += 0.0 if refitted else state_reduction
-        # A poor fit need not be found to the last digit: relative to cost and to its excess.
-        followed = cost % DIVERGED_COST  # of the windows that do not diverge
-        if predicted < tolerance * max(1.0, 1e-4 * followed, 3e-3 * (followed - windows.count)):
+        system = problem.linearise(here)
+        if problem.predicted_reduction(here, system) < tolerance * problem.worth(here.cost):
             converged = True
             break
-        for attempt in range(SHORTENINGS):
-            k_step = _bounded_step(normal, gradient, damping, vector[here], low, high)
-            trial = vector.copy()
-            trial[here] = np.clip(vector[here] + k_step, low, high)
-            trial_model = model.with_vector(trial)
-            if attempt == 0:
-                # Linear update of the initial states; usually accepted, so derivatives come along.
-                trial_states = initial_states + back_substitute(k_step)
-                trial_linear = jacobian(trial_model, windows, trial_states, free)
-                residual = trial_linear[0]
-            else:
-                # Judge the same step, then shorter ones, by refitted initial states.
-                trial_states, residual = fit_initial_states(
-                    trial_model, windows, initial_states, iterations=3
-                )
-                trial_linear = None
-            new_cost = _cost(residual, prior_factor, prior_mean, trial[here])
-            if new_cost < cost:
-                break
-            damping = max(30.0 * damping, 1e-6) if attempt else damping
-        if not new_cost < cost:
+        there = None
+        if not shortened:  # a full step is usually accepted, so derivatives come along
+            k_step = problem.step(here, system, damping)
+            states = here.initial_states + system.correction + system.follow @ k_step
+            there = problem.point(problem.moved(here, k_step), states)
+        if there is None or not there.cost < here.cost:
+            there, damping, shortened = problem.best_shorter_step(here, system, damping)
+        if not there.cost < here.cost:
             converged = True
             break
-        step_count, refitted = step_count + 1, attempt > 0
-        converged = cost - new_cost < 0.1 * tolerance
-        model, vector, initial_states, cost = trial_model, trial, trial_states, new_cost
-        linear = trial_linear or jacobian(model, windows, initial_states, free)
-        damping = 0.1 * damping if damping > 1e-9 else 0.0
+        step_count += 1
+        converged = here.cost - there.cost < 0.1 * tolerance
+        here, damping = there, (0.1 * damping if damping > 1e-9 else 0.0)
         if on_step:
-            on_step(step_count, cost / max(windows.count, 1))
+            on_step(step_count, here.cost / max(windows.count, 1))
+    model, initial_states = model.with_vector(here.vector), here.initial_states
     left = iterations - step_count - 1
     if left >= 0:
         # A step for all windows at once can leave the initial state of one where it is no minimum.
-        freed, residual = _free_stuck_windows(model, windows, initial_states, linear[::2])
-        if cost - _cost(residual, prior_factor, prior_mean, vector[here]) > tolerance:
+        freed, residual = _free_stuck_windows(model, windows, initial_states, here.linear[::2])
+        gained = here.cost - problem.cost(residual, here.vector)
+        if gained > tolerance * problem.worth(here.cost):
             done = step_count + 1
             rest = fit(
                 model, windows, freed, prior=prior, iterations=left, tolerance=tolerance,
                 on_step=(lambda k, c: on_step(done + k, c)) if on_step else None,
             )  # fmt: skip
             return replace(rest, iterations=done + rest.iterations)
-    return FitResult(model, initial_states, *linear, free, cost, step_count, converged)
+    return FitResult(
+        model, initial_states, *here.linear, problem.free, here.cost, step_count, converged
+    )
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Where the fit is: parameters, initial states and the linearisation there."""
+
+    vector: Array  # (P,)
+    initial_states: Array  # (W, n_states)
+    linear: tuple[Array, Array, Array]  # residual, derivatives as in FitResult
+    cost: float
+
+
+@dataclass(frozen=True)
+class _ReducedSystem:
+    """Normal equations in K alone, and what the initial states do when K takes a step dK."""
+
+    normal: Array  # (F, F)
+    gradient: Array  # (F,)
+    correction: Array  # (W, n_states) step of the initial states without one in K
+    follow: Array  # (W, n_states, F) with one: correction + follow dK
+    state_reduction: float  # of the cost, by the correction alone
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The least-squares problem of a fit: windows, free parameters, their bounds and prior."""
+
+    model: Model
+    windows: Windows
+    free: tuple[int, ...]
+    low: Array  # (F,)
+    high: Array
+    prior_factor: Array  # (F, F), as of `prior_rows`
+    prior_mean: Array  # (F,)
+
+    @classmethod
+    def of(cls, model: Model, windows: Windows, prior: Prior | None) -> "_Problem":
+        """Parameters with low == high are fixed."""
+        free = tuple(i for i, p in enumerate(model.parameters) if p.high > p.low)
+        low = np.array([model.parameters[i].low for i in free])
+        high = np.array([model.parameters[i].high for i in free])
+        return cls(model, windows, free, low, high, *prior_rows(model, free, prior))
+
+    def point(
+        self, vector: Array, initial_states: Array,
+        linear: tuple[Array, Array, Array] | None = None,
+    ) -> _Point:  # fmt: skip
+        """Linearise there, unless that is known."""
+        linear = linear or jacobian(
+            self.model.with_vector(vector), self.windows, initial_states, self.free
+        )
+        return _Point(vector, initial_states, linear, self.cost(linear[0], vector))
+
+    def shrunk(self, here: _Point, names: Sequence[str]) -> Array:
+        """(P,) Parameters with these at the largest of SHRUNK with which fewest windows diverge."""
+        trials = np.repeat(here.vector[None], len(SHRUNK), axis=0)
+        trials[:, [self.model.names.index(name) for name in names]] *= SHRUNK[:, None]
+        residual = residual_sets(
+            self.model, self.windows,
+            np.repeat(here.initial_states[None], len(SHRUNK), axis=0), trials.T,
+        )  # fmt: skip
+        diverged = np.isinf(_window_cost(residual.reshape(-1, residual.shape[-1])))
+        return trials[int(np.argmin(diverged.reshape(len(SHRUNK), -1).sum(axis=1)))]
+
+    def cost(self, residual: Array, vector: Array) -> float:
+        """Cost of the windows and of the prior; a diverged window counts as DIVERGED_COST."""
+        windows = np.minimum(_window_cost(residual), DIVERGED_COST)
+        return float(np.sum(windows) + np.sum(self.prior_residual(vector) ** 2))
+
+    def worth(self, cost: float) -> float:
+        """Chi2 that a further reduction must have where the tolerance is one.
+
+        A poor fit need not be found to the last digit: relative to cost and to its excess.
+        """
+        followed = cost % DIVERGED_COST  # of the windows that do not diverge
+        return max(1.0, 1e-4 * followed, 3e-3 * (followed - self.windows.count))
+
+    def prior_residual(self, vector: Array) -> Array:
+        """(..., F) of parameters (..., P)."""
+        return np.asarray((vector[..., list(self.free)] - self.prior_mean) @ self.prior_factor.T)
+
+    def linearise(self, here: _Point) -> _ReducedSystem:
+        """Normal equations in K alone, with the prior as further rows."""
+        system = _eliminate_initial_states(*_drop_diverged_windows(*here.linear))
+        return replace(
+            system,
+            normal=system.normal + self.prior_factor.T @ self.prior_factor,
+            gradient=system.gradient + self.prior_residual(here.vector) @ self.prior_factor,
+        )
+
+    def step(self, here: _Point, system: _ReducedSystem, damping: float) -> Array:
+        """(F,) Damped step in K within the bounds."""
+        at = here.vector[list(self.free)]
+        return _bounded_step(system.normal, system.gradient, damping, at, self.low, self.high)
+
+    def predicted_reduction(self, here: _Point, system: _ReducedSystem) -> float:
+        """Reduction of the cost by a full step in the linearised problem."""
+        step = self.step(here, system, 0.0)
+        of_parameters = -2.0 * system.gradient @ step - step @ system.normal @ step
+        return float(of_parameters) + system.state_reduction
+
+    def moved(self, here: _Point, k_step: Array) -> Array:
+        """(..., P) Parameters after steps (..., F), within the bounds."""
+        free = list(self.free)
+        vector = np.broadcast_to(here.vector, (*k_step.shape[:-1], len(here.vector))).copy()
+        vector[..., free] = np.clip(here.vector[free] + k_step, self.low, self.high)
+        return vector
+
+    def best_shorter_step(
+        self, here: _Point, system: _ReducedSystem, damping: float
+    ) -> tuple[_Point, float, bool]:
+        """The best of several steps with more damping, all integrated together.
+
+        An initial state acts on its own window only, so each takes that share of its correction
+        with which its window fits best.
+
+        Returns:
+            Where it leads, its damping, and whether that is more than there was.
+        """
+        dampings = np.maximum(max(30.0 * damping, LEAST_DAMPING) * DAMPINGS, damping)
+        k_steps = np.stack([self.step(here, system, d) for d in dampings])  # (T, F)
+        trials = self.moved(here, k_steps)
+        followed = here.initial_states + np.einsum("wnf,tf->twn", system.follow, k_steps)
+        states = followed[:, None] + SHARES[:, None, None] * system.correction  # (T, S, W, n)
+        residual = residual_sets(
+            self.model, self.windows, states.reshape(-1, *here.initial_states.shape),
+            np.repeat(trials, len(SHARES), axis=0).T,
+        )  # fmt: skip
+        cost = _window_cost(residual.reshape(-1, residual.shape[-1])).reshape(states.shape[:3])
+        prior_cost = np.sum(self.prior_residual(trials) ** 2, axis=1)
+        best = int(np.argmin(np.minimum(cost.min(axis=1), DIVERGED_COST).sum(axis=1) + prior_cost))
+        share = cost[best].argmin(axis=0)  # (W,)
+        there = self.point(trials[best], states[best, share, np.arange(len(share))])
+        return there, float(dampings[best]), best > 0
 
 
 def _free_stuck_windows(
@@ -243,13 +360,6 @@ def sqrt_huber_weight(residual: Array, windows: Windows) -> Array:
 def _window_cost(residual: Array) -> Array:
     """Cost (W,) of each window; infinite where it diverged."""
     return np.nan_to_num(np.einsum("wi,wi->w", residual, residual), nan=np.inf, posinf=np.inf)
-
-
-def _cost(residual: Array, prior_factor: Array, prior_mean: Array, free_values: Array) -> float:
-    """Cost of the windows and of the prior; a diverged window counts as DIVERGED_COST."""
-    prior_residual = prior_factor @ (free_values - prior_mean)
-    windows = np.minimum(_window_cost(residual), DIVERGED_COST)
-    return float(np.sum(windows) + np.sum(prior_residual**2))
 
 
 def prior_rows(model: Model, free: tuple[int, ...], prior: Prior | None) -> tuple[Array, Array]:
@@ -321,11 +431,11 @@ def _drop_diverged_windows(
 
 def _eliminate_initial_states(
     residual: Array, parameter_jacobian: Array, initial_state_jacobian: Array
-) -> tuple[Array, Array, Callable[[Array], Array], float]:
-    """Normal equations in K alone: matrix (F, F), gradient (F,), back-substitution, reduction.
+) -> _ReducedSystem:
+    """Minimise |r + J_K dK + J_x dx|^2 per window, J_x = Q R.
 
-    Minimise |r + J_K dK + J_x dx|^2 per window, J_x = Q R. The part orthogonal to Q gives the Schur
-    complement in K, the part along Q gives dx = -R^-1 (Q'r + Q'J_K dK).
+    The part orthogonal to Q gives the Schur complement in K, the part along Q gives
+    dx = -R^-1 (Q'r + Q'J_K dK).
     """
     Q, R = _qr(initial_state_jacobian)
     across = Q.transpose(0, 2, 1) @ parameter_jacobian  # (W, n, F)
@@ -336,19 +446,8 @@ def _eliminate_initial_states(
 
     # The prior on the initial states keeps R regular; a state that overflowed leaves a zero there.
     R = R + 1e-12 * np.abs(R).max(axis=(1, 2), keepdims=True) * np.eye(R.shape[-1])
-
-    def back_substitute(k_step: Array) -> Array:
-        return -np.linalg.solve(R, (inside + across @ k_step)[..., None])[..., 0]
-
-    return normal, gradient, back_substitute, float(np.sum(inside**2))
-
-
-def _predicted_reduction(
-    normal: Array, gradient: Array, at: Array, low: Array, high: Array
-) -> float:
-    """Reduction of chi2 by a full step in K in the linearised problem."""
-    step = _bounded_step(normal, gradient, 0.0, at, low, high)
-    return float(-2.0 * gradient @ step - step @ normal @ step)
+    steps = -np.linalg.solve(R, np.concatenate([inside[..., None], across], axis=2))
+    return _ReducedSystem(normal, gradient, steps[..., 0], steps[..., 1:], float(np.sum(inside**2)))
 
 
 def _bounded_step(

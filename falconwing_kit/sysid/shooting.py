@@ -255,13 +255,13 @@ def pose_residuals(residual: Array, windows: Windows) -> Array:
 
 
 def _initial_state_residuals(windows: Windows, initial_states: Array) -> Array:
-    """(W, n_states) initial states less their local estimates, in sigmas of the prior."""
-    n = initial_states.shape[1]
+    """(..., W, n_states) initial states less their local estimates, in sigmas of the prior."""
+    n = initial_states.shape[-1]
     deviation = (initial_states - windows.initial_guess[:, :n]) / INITIAL_STATE_SIGMA[:n]
     # Whole turns of yaw (row 4) are the same attitude.
     turn = 2.0 * np.pi
-    turns = np.round(deviation[:, 4] * INITIAL_STATE_SIGMA[4] / turn)
-    deviation[:, 4] -= turn / INITIAL_STATE_SIGMA[4] * turns
+    turns = np.round(deviation[..., 4] * INITIAL_STATE_SIGMA[4] / turn)
+    deviation[..., 4] -= turn / INITIAL_STATE_SIGMA[4] * turns
     return deviation
 
 
@@ -311,6 +311,29 @@ def jacobian(
     )
 
 
+def residual_sets(model: Model, windows: Windows, initial_states: Array, values: Array) -> Array:
+    """`residuals` for several sets of initial states and parameters, all integrated together.
+
+    Args:
+        model: the aircraft; its values are not used.
+        windows: W windows.
+        initial_states: (C, W, n_states).
+        values: (P, C) parameter values, one set per column.
+
+    Returns:
+        (C, W, R) as of `residuals`.
+    """
+    poses = _predict_columns(model, windows, initial_states.transpose(2, 0, 1), values)
+    with np.errstate(all="ignore"):
+        return np.concatenate(
+            [
+                _normalise_residuals(windows, poses, turns_of=slice(None)),
+                _initial_state_residuals(windows, initial_states),
+            ],
+            axis=2,
+        )
+
+
 def finite_differences(
     model: Model, windows: Windows, initial_states: Array, values: Array
 ) -> Array:
@@ -337,6 +360,14 @@ def _perturbed_residuals(
     model: Model, windows: Windows, state_columns: Array, values: Array
 ) -> tuple[Array, Array]:
     """Pose residuals of the first column (W, L * 6); the others' less those (C - 1, W, L * 6)."""
+    poses = _predict_columns(model, windows, state_columns, values)
+    with np.errstate(all="ignore"):
+        residual = _normalise_residuals(windows, poses)
+        return residual[0], residual[1:] - residual[0]
+
+
+def _predict_columns(model: Model, windows: Windows, state_columns: Array, values: Array) -> Array:
+    """Poses (L, 6, C, W) for columns of states (n_states, C, W) and parameter values (P, C)."""
     # Actuator responses are the costly part: one variant for the first column, and one more for
     # each column that changes a parameter of the input map (delay, lag).
     mapped = [model.names.index(name) for name in model.actuator_parameter_names]
@@ -346,7 +377,7 @@ def _perturbed_residuals(
         variant_index[column] = len(variants)
         variants.append(windows.actuator_positions(model, values[:, column]))
     with np.errstate(all="ignore"):
-        poses = predict(
+        return predict(
             model,
             windows,
             state_columns,
@@ -354,17 +385,15 @@ def _perturbed_residuals(
             np.stack(variants, axis=3),  # (S, 2, 4, A, W)
             variant_index if len(variants) > 1 else None,
         )
-        residual = _normalise_residuals(windows, poses)
-        return residual[0], residual[1:] - residual[0]
 
 
-def _normalise_residuals(windows: Windows, poses: Array) -> Array:
+def _normalise_residuals(windows: Windows, poses: Array, turns_of: slice = slice(0, 1)) -> Array:
     """(L, 6, C, W) predicted poses -> (C, W, L * 6) residuals in sigmas, whitened."""
     difference = poses.transpose(2, 3, 0, 1) - windows.pose  # (C, W, L, 6)
     # Angles modulo 2 pi. The turns are those of the first column: a turn of its own in a
     # perturbed column would be a jump in the finite difference.
     angles = difference[..., 3:]
-    angles -= 2.0 * np.pi * np.round(angles[:1] / (2.0 * np.pi))
+    angles -= 2.0 * np.pi * np.round(angles[turns_of] / (2.0 * np.pi))
     difference *= windows.weight
     if windows.whitening is not None:
         # (W, 6, L, L) @ (W, 6, L, C): all columns of a window in one product.

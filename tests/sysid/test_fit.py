@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize
 
+from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.model import FORMS, paper_model, rates_model
 from falconwing_kit.sysid.fit import Prior, fit, fit_initial_states, sqrt_huber_weight
 from falconwing_kit.sysid.prepare import prepare
@@ -340,6 +341,23 @@ def test_a_bad_start_gets_to_the_same_minimum(small):
     found = fit(far, windows, initial_states, tolerance=1e-6)
     assert np.sum(residuals(far, windows, initial_states) ** 2) > 1e3 * near.cost
     assert found.converged and found.cost == pytest.approx(near.cost, rel=1e-6)
+
+
+def test_a_size_with_which_the_flight_diverges_begins_smaller(small):
+    """Thrust that grows with the square of speed: dv/dt = k v^2 is infinite after 1 / (k v), here
+    0.1 s. Its true size is zero, so the end is that of a fit that begins there.
+    """
+    start, windows, initial_states = small
+    effect = next(e for e in CATALOGUE if e.name == "extra_drag")
+    pushed = start.with_effect(replace(
+        effect, parameters=(replace(effect.parameters[0], low=-100.0, high=100.0),)
+    ))  # fmt: skip
+    name = effect.parameters[0].name
+    near = fit(pushed.with_values({name: 0.0}), windows, initial_states, tolerance=1e-6)
+    far = pushed.with_values({name: -2.0})
+    assert not np.isfinite(residuals(far, windows, initial_states)).all()
+    found = fit(far, windows, initial_states, tolerance=1e-6, shrink=[name])
+    assert found.cost == pytest.approx(near.cost, rel=1e-6)
 
 
 def test_every_step_lowers_the_cost_and_is_reported(small):

@@ -17,6 +17,7 @@ from falconwing_kit.sysid.shooting import (
     fly_windows,
     jacobian,
     pose_residuals,
+    residual_sets,
     residuals,
 )
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
@@ -397,6 +398,26 @@ def test_changes_are_differences_of_residuals(noisy):
     assert found == pytest.approx(np.stack(expected), rel=1e-9, abs=1e-9)
     assert np.abs(found).max(axis=(1, 2))[[0, 1, 3, 4]].min() > 1.0 and not found[2].any()
     assert np.array_equal(found[1], found[4])
+
+
+def test_sets_have_the_residuals_of_each_alone(noisy):
+    """Parameters and initial states of their own, one with another delay, one a whole turn of yaw
+    on, one whose flight diverges.
+    """
+    truth, windows, initial_states = noisy
+    rng = np.random.default_rng(4)
+    moved = [
+        truth.with_values(values)
+        for values in ({"cL_alpha": 1.6}, {"delay": 0.06}, {}, {"cD_0": -1e6})
+    ]
+    states = initial_states + 0.1 * rng.normal(size=(len(moved), *initial_states.shape))
+    states[2, :, 4] += 2.0 * np.pi
+    found = residual_sets(
+        truth, windows, states, np.column_stack([model.vector for model in moved])
+    )
+    expected = [residuals(m, windows, s) for m, s in zip(moved, states, strict=True)]
+    assert found[:3] == pytest.approx(np.stack(expected[:3]), rel=1e-9, abs=1e-9)
+    assert np.isposinf(found[3]).any() and not np.isnan(found[3]).any()
 
 
 def test_a_diverging_change_is_infinite_for_itself_alone():
