@@ -23,11 +23,12 @@ from falconwing_kit.sysid.shooting import (
 HUBER = 3.0  # residuals beyond this many sigmas count linearly [Huber 1964]
 DIVERGED_COST = 1e12  # of a window whose prediction overflows: fewer of them is a better fit
 STANDS_OUT = 3.0  # a window whose cost is so many times the median may be in a local minimum
-# Where a full step fails, steps with so much more damping are tried, and of the correction of its
-# initial state every window takes the share that suits it.
-LEAST_DAMPING, DAMPINGS = 1e-5, np.array([0.0, 1.0, 1e2, 1e4, 1e6, 1e8])
-SHARES = np.array([1.0, 0.3, 0.0])
-SHRUNK = np.array([0.3, 0.1, 0.03, 0.01])  # of a first guess that diverges
+# Where a step fails, it is tried with so many times more damping, at least with the least ...
+LEAST_DAMPING, DAMPINGS = 1e-5, np.array([1.0, 1e2, 1e4, 1e6, 1e8])
+REFIT_DAMPINGS = (0.0, 1.0, 1e3, 1e6)
+POOR_GAIN = 0.5  # of the predicted reduction: less, and initial states are fitted by themselves
+STEP_FRACTIONS = np.array([1.0, 0.3, 0.0])  # ... and with these parts of each initial state's step
+START_FRACTIONS = np.array([0.3, 0.1, 0.03, 0.01])  # of a first guess that diverges
 
 
 @dataclass(frozen=True)
@@ -153,24 +154,32 @@ def fit(
     problem = _Problem.of(model, windows, prior)
     here = problem.point(model.vector, initial_states, linear)
     if here.cost > DIVERGED_COST and shrink:
-        here = problem.point(problem.shrunk(here, shrink), initial_states)
+        here = problem.point(_smaller_start(problem, here, shrink), initial_states)
     if here.cost > DIVERGED_COST:  # the first guess diverges somewhere: begin with initial states
         model = model.with_vector(here.vector)
-        initial_states, _ = fit_initial_states(model, windows, initial_states, iterations=3)
+        initial_states, _ = fit_initial_states(
+            model, windows, initial_states, iterations=3, linear=here.linear[::2]
+        )
         here = problem.point(here.vector, initial_states)
     damping, shortened, converged, step_count = 0.0, False, False, 0
     while step_count < iterations and not converged:
         system = problem.linearise(here)
-        if problem.predicted_reduction(here, system) < tolerance * problem.worth(here.cost):
+        predicted = problem.predicted_reduction(here, system)
+        if predicted < tolerance * problem.tolerance_scale(here.cost):
             converged = True
             break
         there = None
-        if not shortened:  # a full step is usually accepted, so derivatives come along
+        if not shortened:  # usually accepted, so derivatives come along
             k_step = problem.step(here, system, damping)
-            states = here.initial_states + system.correction + system.follow @ k_step
-            there = problem.point(problem.moved(here, k_step), states)
+            states = here.initial_states + system.state_step + system.state_sensitivity @ k_step
+            there = problem.point(problem.parameters_after(here, k_step), states)
         if there is None or not there.cost < here.cost:
-            there, damping, shortened = problem.best_shorter_step(here, system, damping)
+            there, damping, shortened = _best_shorter_step(problem, here, system, damping)
+            if here.cost - there.cost < POOR_GAIN * predicted:
+                other = _step_with_fitted_states(problem, here, system, damping, there.cost)
+                if other is not None:
+                    there, damping = other
+                    shortened = False
         if not there.cost < here.cost:
             converged = True
             break
@@ -185,7 +194,7 @@ def fit(
         # A step for all windows at once can leave the initial state of one where it is no minimum.
         freed, residual = _free_stuck_windows(model, windows, initial_states, here.linear[::2])
         gained = here.cost - problem.cost(residual, here.vector)
-        if gained > tolerance * problem.worth(here.cost):
+        if gained > tolerance * problem.tolerance_scale(here.cost):
             done = step_count + 1
             rest = fit(
                 model, windows, freed, prior=prior, iterations=left, tolerance=tolerance,
@@ -209,13 +218,13 @@ class _Point:
 
 @dataclass(frozen=True)
 class _ReducedSystem:
-    """Normal equations in K alone, and what the initial states do when K takes a step dK."""
+    """Normal equations in K alone; dx = state_step + state_sensitivity dK for a step dK."""
 
     normal: Array  # (F, F)
     gradient: Array  # (F,)
-    correction: Array  # (W, n_states) step of the initial states without one in K
-    follow: Array  # (W, n_states, F) with one: correction + follow dK
-    state_reduction: float  # of the cost, by the correction alone
+    state_step: Array  # (W, n_states) of the initial states where K stays
+    state_sensitivity: Array  # (W, n_states, F) derivative of the best initial states to K
+    state_reduction: float  # of the cost, by state_step alone
 
 
 @dataclass(frozen=True)
@@ -248,29 +257,18 @@ class _Problem:
         )
         return _Point(vector, initial_states, linear, self.cost(linear[0], vector))
 
-    def shrunk(self, here: _Point, names: Sequence[str]) -> Array:
-        """(P,) Parameters with these at the largest of SHRUNK with which fewest windows diverge."""
-        trials = np.repeat(here.vector[None], len(SHRUNK), axis=0)
-        trials[:, [self.model.names.index(name) for name in names]] *= SHRUNK[:, None]
-        residual = residual_sets(
-            self.model, self.windows,
-            np.repeat(here.initial_states[None], len(SHRUNK), axis=0), trials.T,
-        )  # fmt: skip
-        diverged = np.isinf(_window_cost(residual.reshape(-1, residual.shape[-1])))
-        return trials[int(np.argmin(diverged.reshape(len(SHRUNK), -1).sum(axis=1)))]
-
     def cost(self, residual: Array, vector: Array) -> float:
         """Cost of the windows and of the prior; a diverged window counts as DIVERGED_COST."""
-        windows = np.minimum(_window_cost(residual), DIVERGED_COST)
-        return float(np.sum(windows) + np.sum(self.prior_residual(vector) ** 2))
+        window_cost = np.minimum(_window_cost(residual), DIVERGED_COST)
+        return float(np.sum(window_cost) + np.sum(self.prior_residual(vector) ** 2))
 
-    def worth(self, cost: float) -> float:
-        """Chi2 that a further reduction must have where the tolerance is one.
+    def tolerance_scale(self, cost: float) -> float:
+        """What the tolerance is multiplied by: a poor fit need not be found to the last digit.
 
-        A poor fit need not be found to the last digit: relative to cost and to its excess.
+        Relative to the cost and to its excess over one for each measured component.
         """
-        followed = cost % DIVERGED_COST  # of the windows that do not diverge
-        return max(1.0, 1e-4 * followed, 3e-3 * (followed - self.windows.count))
+        finite_cost = cost % DIVERGED_COST  # of the windows that do not diverge
+        return max(1.0, 1e-4 * finite_cost, 3e-3 * (finite_cost - self.windows.count))
 
     def prior_residual(self, vector: Array) -> Array:
         """(..., F) of parameters (..., P)."""
@@ -296,39 +294,71 @@ class _Problem:
         of_parameters = -2.0 * system.gradient @ step - step @ system.normal @ step
         return float(of_parameters) + system.state_reduction
 
-    def moved(self, here: _Point, k_step: Array) -> Array:
+    def parameters_after(self, here: _Point, k_step: Array) -> Array:
         """(..., P) Parameters after steps (..., F), within the bounds."""
         free = list(self.free)
         vector = np.broadcast_to(here.vector, (*k_step.shape[:-1], len(here.vector))).copy()
         vector[..., free] = np.clip(here.vector[free] + k_step, self.low, self.high)
         return vector
 
-    def best_shorter_step(
-        self, here: _Point, system: _ReducedSystem, damping: float
-    ) -> tuple[_Point, float, bool]:
-        """The best of several steps with more damping, all integrated together.
 
-        An initial state acts on its own window only, so each takes that share of its correction
-        with which its window fits best.
+def _smaller_start(problem: _Problem, here: _Point, names: Sequence[str]) -> Array:
+    """(P,) The first guess with these parameters at the fraction with which fewest windows diverge.
 
-        Returns:
-            Where it leads, its damping, and whether that is more than there was.
-        """
-        dampings = np.maximum(max(30.0 * damping, LEAST_DAMPING) * DAMPINGS, damping)
-        k_steps = np.stack([self.step(here, system, d) for d in dampings])  # (T, F)
-        trials = self.moved(here, k_steps)
-        followed = here.initial_states + np.einsum("wnf,tf->twn", system.follow, k_steps)
-        states = followed[:, None] + SHARES[:, None, None] * system.correction  # (T, S, W, n)
-        residual = residual_sets(
-            self.model, self.windows, states.reshape(-1, *here.initial_states.shape),
-            np.repeat(trials, len(SHARES), axis=0).T,
-        )  # fmt: skip
-        cost = _window_cost(residual.reshape(-1, residual.shape[-1])).reshape(states.shape[:3])
-        prior_cost = np.sum(self.prior_residual(trials) ** 2, axis=1)
-        best = int(np.argmin(np.minimum(cost.min(axis=1), DIVERGED_COST).sum(axis=1) + prior_cost))
-        share = cost[best].argmin(axis=0)  # (W,)
-        there = self.point(trials[best], states[best, share, np.arange(len(share))])
-        return there, float(dampings[best]), best > 0
+    The largest such one of START_FRACTIONS.
+    """
+    trials = np.repeat(here.vector[None], len(START_FRACTIONS), axis=0)
+    trials[:, [problem.model.names.index(name) for name in names]] *= START_FRACTIONS[:, None]
+    states = np.repeat(here.initial_states[None], len(trials), axis=0)
+    residual = residual_sets(problem.model, problem.windows, states, trials.T)
+    diverged = np.isinf(_window_cost(residual))  # (T, W)
+    return np.asarray(trials[int(np.argmin(diverged.sum(axis=1)))])
+
+
+def _best_shorter_step(
+    problem: _Problem, here: _Point, system: _ReducedSystem, damping: float
+) -> tuple[_Point, float, bool]:
+    """The best of the damped step and of some with more damping, all integrated together.
+
+    An initial state acts on its own window only, so each takes that fraction of its own step with
+    which its window fits best.
+
+    Returns:
+        Where it leads, its damping, and whether it has more damping than the step had.
+    """
+    dampings = [damping, *(max(30.0 * damping, LEAST_DAMPING) * DAMPINGS)]
+    k_steps = np.stack([problem.step(here, system, d) for d in dampings])  # (T, F)
+    trials = problem.parameters_after(here, k_steps)
+    optimal = here.initial_states + np.einsum("wnf,tf->twn", system.state_sensitivity, k_steps)
+    states = optimal[:, None] + STEP_FRACTIONS[:, None, None] * system.state_step  # (T, S, W, n)
+    residual = residual_sets(
+        problem.model, problem.windows, states.reshape(-1, *here.initial_states.shape),
+        np.repeat(trials, len(STEP_FRACTIONS), axis=0).T,
+    )  # fmt: skip
+    cost = _window_cost(residual).reshape(states.shape[:3])  # (T, S, W)
+    prior_cost = np.sum(problem.prior_residual(trials) ** 2, axis=1)
+    best = int(np.argmin(np.minimum(cost.min(axis=1), DIVERGED_COST).sum(axis=1) + prior_cost))
+    fraction = cost[best].argmin(axis=0)  # (W,)
+    there = problem.point(trials[best], states[best, fraction, np.arange(len(fraction))])
+    return there, float(dampings[best]), best > 0
+
+
+def _step_with_fitted_states(
+    problem: _Problem, here: _Point, system: _ReducedSystem, damping: float, least: float
+) -> tuple[_Point, float] | None:
+    """The longest step in K that lowers the cost below `least` once initial states are fitted anew.
+
+    For a start so far away that the linearised steps of the initial states do not help.
+    """
+    for factor in REFIT_DAMPINGS:
+        damped = max(30.0 * damping, 1e-6) * factor if factor > 0.0 else damping
+        vector = problem.parameters_after(here, problem.step(here, system, damped))
+        states, residual = fit_initial_states(
+            problem.model.with_vector(vector), problem.windows, here.initial_states, iterations=3
+        )
+        if problem.cost(residual, vector) < least:
+            return problem.point(vector, states), damped
+    return None
 
 
 def _free_stuck_windows(
@@ -358,8 +388,9 @@ def sqrt_huber_weight(residual: Array, windows: Windows) -> Array:
 
 
 def _window_cost(residual: Array) -> Array:
-    """Cost (W,) of each window; infinite where it diverged."""
-    return np.nan_to_num(np.einsum("wi,wi->w", residual, residual), nan=np.inf, posinf=np.inf)
+    """Cost (..., W) of each window from residuals (..., W, R); infinite where it diverged."""
+    cost = np.einsum("...i,...i->...", residual, residual)
+    return np.nan_to_num(cost, nan=np.inf, posinf=np.inf)
 
 
 def prior_rows(model: Model, free: tuple[int, ...], prior: Prior | None) -> tuple[Array, Array]:

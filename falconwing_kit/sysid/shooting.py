@@ -224,15 +224,7 @@ def residuals(model: Model, windows: Windows, initial_states: Array) -> Array:
         (W, L * 6 + n_states): poses, zero where one is missing and infinite where the prediction
         diverged; then the initial states less their local estimates, in sigmas.
     """
-    poses = fly_windows(model, windows, initial_states).transpose(1, 2, 0)[:, :, None]
-    with np.errstate(all="ignore"):
-        return np.concatenate(
-            [
-                _normalise_residuals(windows, poses)[0],
-                _initial_state_residuals(windows, initial_states),
-            ],
-            axis=1,
-        )
+    return np.asarray(residual_sets(model, windows, initial_states[None], model.vector[:, None])[0])
 
 
 def fly_windows(model: Model, windows: Windows, initial_states: Array) -> Array:
@@ -241,11 +233,7 @@ def fly_windows(model: Model, windows: Windows, initial_states: Array) -> Array:
     Returns:
         (W, L, 6) in the order of CHANNELS; not finite where the prediction diverged.
     """
-    actuator_positions = windows.actuator_positions(model, model.vector)[:, :, :, None]
-    with np.errstate(all="ignore"):
-        poses = predict(
-            model, windows, initial_states.T[:, None, :], model.vector[:, None], actuator_positions
-        )
+    poses = _predict_columns(model, windows, initial_states.T[:, None, :], model.vector[:, None])
     return np.ascontiguousarray(poses[:, :, 0].transpose(2, 0, 1))
 
 
@@ -327,7 +315,7 @@ def residual_sets(model: Model, windows: Windows, initial_states: Array, values:
     with np.errstate(all="ignore"):
         return np.concatenate(
             [
-                _normalise_residuals(windows, poses, turns_of=slice(None)),
+                _normalise_residuals(windows, poses, same_turns=False),
                 _initial_state_residuals(windows, initial_states),
             ],
             axis=2,
@@ -368,14 +356,13 @@ def _perturbed_residuals(
 
 def _predict_columns(model: Model, windows: Windows, state_columns: Array, values: Array) -> Array:
     """Poses (L, 6, C, W) for columns of states (n_states, C, W) and parameter values (P, C)."""
-    # Actuator responses are the costly part: one variant for the first column, and one more for
-    # each column that changes a parameter of the input map (delay, lag).
+    # Actuator responses are costly: one variant for each set of values of the input map's
+    # parameters (delay, lag), not one for each column.
     mapped = [model.names.index(name) for name in model.actuator_parameter_names]
-    variants = [windows.actuator_positions(model, values[:, 0])]
-    variant_index = np.zeros(values.shape[1], dtype=int)
-    for column in np.flatnonzero((values[mapped] != values[mapped][:, :1]).any(axis=0)):
-        variant_index[column] = len(variants)
-        variants.append(windows.actuator_positions(model, values[:, column]))
+    keys = [tuple(column) for column in values[mapped].T]
+    distinct = list(dict.fromkeys(keys))
+    variants = [windows.actuator_positions(model, values[:, keys.index(key)]) for key in distinct]
+    variant_index = np.array([distinct.index(key) for key in keys])
     with np.errstate(all="ignore"):
         return predict(
             model,
@@ -387,13 +374,16 @@ def _predict_columns(model: Model, windows: Windows, state_columns: Array, value
         )
 
 
-def _normalise_residuals(windows: Windows, poses: Array, turns_of: slice = slice(0, 1)) -> Array:
-    """(L, 6, C, W) predicted poses -> (C, W, L * 6) residuals in sigmas, whitened."""
+def _normalise_residuals(windows: Windows, poses: Array, same_turns: bool = True) -> Array:
+    """(L, 6, C, W) predicted poses -> (C, W, L * 6) residuals in sigmas, whitened.
+
+    Angles are modulo 2 pi; with `same_turns` all columns take the turns of the first, since a turn
+    of its own in a perturbed column would be a jump in the finite difference.
+    """
     difference = poses.transpose(2, 3, 0, 1) - windows.pose  # (C, W, L, 6)
-    # Angles modulo 2 pi. The turns are those of the first column: a turn of its own in a
-    # perturbed column would be a jump in the finite difference.
     angles = difference[..., 3:]
-    angles -= 2.0 * np.pi * np.round(angles[turns_of] / (2.0 * np.pi))
+    turns = np.round((angles[:1] if same_turns else angles) / (2.0 * np.pi))
+    angles -= 2.0 * np.pi * turns
     difference *= windows.weight
     if windows.whitening is not None:
         # (W, 6, L, L) @ (W, 6, L, C): all columns of a window in one product.
