@@ -300,7 +300,10 @@ def find_onset(
         before.initial_states,
     )
     for _ in range(MAX_ONSET_ITERATIONS):
-        result = fit(model, windows, initial_states, prior=base.prior, iterations=15)
+        result = fit(
+            model, windows, initial_states, prior=base.prior, iterations=15,
+            shrink=[p.name for p in gated.amplitudes],
+        )  # fmt: skip
         onset_times, cost_at_onset = _profile_likelihood(base, windows, result)
         if not np.isfinite(cost_at_onset).any():  # the flight diverges with it at any time
             return None
@@ -521,7 +524,10 @@ def _fit_course(
     intervals: dict[str, tuple[float, float]] = {}
     for _ in range(2 * MAX_ONSET_ITERATIONS):
         model = before.model.with_effect(gated).with_values(values).with_fixed(names)
-        result = fit(model, windows, states, prior=base.prior, iterations=15)
+        result = fit(
+            model, windows, states, prior=base.prior, iterations=15,
+            shrink=[p.name for p in gated.amplitudes],
+        )  # fmt: skip
         values = {p.name: result.model.values[p.name] for p in gated.parameters}
         states = result.initial_states
         better: dict[str, tuple[float, float]] = {}  # time -> cost and value where it is least

@@ -153,9 +153,9 @@ def fit(
     """
     problem = _Problem.of(model, windows, prior)
     here = problem.point(model.vector, initial_states, linear)
-    if here.cost > DIVERGED_COST and shrink:
+    if here.cost >= DIVERGED_COST and shrink:
         here = problem.point(_smaller_start(problem, here, shrink), initial_states)
-    if here.cost > DIVERGED_COST:  # the first guess diverges somewhere: begin with initial states
+    if here.cost >= DIVERGED_COST:  # the first guess diverges somewhere: begin with initial states
         model = model.with_vector(here.vector)
         initial_states, _ = fit_initial_states(
             model, windows, initial_states, iterations=3, linear=here.linear[::2]
@@ -165,15 +165,16 @@ def fit(
     while step_count < iterations and not converged:
         system = problem.linearise(here)
         predicted = problem.predicted_reduction(here, system)
-        if predicted < tolerance * problem.tolerance_scale(here.cost):
+        scale = problem.tolerance_scale(here.cost)
+        if predicted < tolerance * scale:
             converged = True
             break
-        there = None
-        if not shortened:  # usually accepted, so derivatives come along
+        there = here
+        if not shortened:  # a full step is usually accepted, so derivatives come along
             k_step = problem.step(here, system, damping)
             states = here.initial_states + system.state_step + system.state_sensitivity @ k_step
             there = problem.point(problem.parameters_after(here, k_step), states)
-        if there is None or not there.cost < here.cost:
+        if not there.cost < here.cost:
             there, damping, shortened = _best_shorter_step(problem, here, system, damping)
             if here.cost - there.cost < POOR_GAIN * predicted:
                 other = _step_with_fitted_states(problem, here, system, damping, there.cost)
@@ -184,7 +185,7 @@ def fit(
             converged = True
             break
         step_count += 1
-        converged = here.cost - there.cost < 0.1 * tolerance
+        converged = here.cost - there.cost < 0.1 * tolerance * scale
         here, damping = there, (0.1 * damping if damping > 1e-9 else 0.0)
         if on_step:
             on_step(step_count, here.cost / max(windows.count, 1))
@@ -305,13 +306,15 @@ class _Problem:
 def _smaller_start(problem: _Problem, here: _Point, names: Sequence[str]) -> Array:
     """(P,) The first guess with these parameters at the fraction with which fewest windows diverge.
 
-    The largest such one of START_FRACTIONS.
+    The largest such one of START_FRACTIONS, within the bounds; parameters that are fixed stay.
     """
-    trials = np.repeat(here.vector[None], len(START_FRACTIONS), axis=0)
-    trials[:, [problem.model.names.index(name) for name in names]] *= START_FRACTIONS[:, None]
+    at = here.vector[list(problem.free)]
+    smaller = np.isin([problem.model.names[i] for i in problem.free], list(names))
+    fractions = np.where(smaller, START_FRACTIONS[:, None], 1.0)  # (T, F)
+    trials = problem.parameters_after(here, (fractions - 1.0) * at)
     states = np.repeat(here.initial_states[None], len(trials), axis=0)
     residual = residual_sets(problem.model, problem.windows, states, trials.T)
-    diverged = np.isinf(_window_cost(residual))  # (T, W)
+    diverged = _window_cost(residual) >= DIVERGED_COST  # (T, W)
     return np.asarray(trials[int(np.argmin(diverged.sum(axis=1)))])
 
 
@@ -324,7 +327,8 @@ def _best_shorter_step(
     which its window fits best.
 
     Returns:
-        Where it leads, its damping, and whether it has more damping than the step had.
+        Where it leads (`here` where none is better), its damping, and whether the damped step in
+        full does not lower the cost.
     """
     dampings = [damping, *(max(30.0 * damping, LEAST_DAMPING) * DAMPINGS)]
     k_steps = np.stack([problem.step(here, system, d) for d in dampings])  # (T, F)
@@ -335,12 +339,16 @@ def _best_shorter_step(
         problem.model, problem.windows, states.reshape(-1, *here.initial_states.shape),
         np.repeat(trials, len(STEP_FRACTIONS), axis=0).T,
     )  # fmt: skip
-    cost = _window_cost(residual).reshape(states.shape[:3])  # (T, S, W)
+    cost = np.minimum(_window_cost(residual), DIVERGED_COST).reshape(states.shape[:3])  # (T, S, W)
     prior_cost = np.sum(problem.prior_residual(trials) ** 2, axis=1)
-    best = int(np.argmin(np.minimum(cost.min(axis=1), DIVERGED_COST).sum(axis=1) + prior_cost))
+    total = cost.min(axis=1).sum(axis=1) + prior_cost
+    best = int(np.argmin(total))
+    full_fails = not cost[0, 0].sum() + prior_cost[0] < here.cost
+    if not total[best] < here.cost:
+        return here, float(dampings[best]), full_fails
     fraction = cost[best].argmin(axis=0)  # (W,)
     there = problem.point(trials[best], states[best, fraction, np.arange(len(fraction))])
-    return there, float(dampings[best]), best > 0
+    return there, float(dampings[best]), full_fails
 
 
 def _step_with_fitted_states(
