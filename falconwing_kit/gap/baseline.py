@@ -390,22 +390,40 @@ def _complete_model(
         needed = SELECTION_PENALTY + ADDITION_EVIDENCE
         enough: dict[str, tuple[float, Sensitivities]] = {}  # the best variant of each effect
         for effect in tried:
-            gain = reduced.score(effect).delta_chi2 / max(1.0, reduced.inflation(effect))
-            gain -= bic_penalty(effect.variant.effect, windows)
+            chi2, penalty = (
+                reduced.score(effect).delta_chi2,
+                bic_penalty(effect.variant.effect, windows),
+            )
+            if chi2 - penalty < needed:
+                continue
             # Within very strong evidence a form from physics comes before one in proportion to a
             # variable, which at another mean of that variable would be another load.
             handicap = VERY_STRONG_EVIDENCE * (effect.variant.effect in GENERIC_LOADS)
-            name, known = effect.variant.effect.name, enough.get(effect.variant.effect.name)
-            if gain >= needed and (known is None or gain - handicap > known[0]):
-                enough[name] = (gain - handicap, effect)
+            gain = chi2 / max(1.0, reduced.inflation(effect)) - penalty - handicap
+            name = effect.variant.effect.name
+            if name not in enough or gain > enough[name][0]:
+                enough[name] = (gain, effect)
         for _, effect in sorted(enough.values(), key=lambda pair: -pair[0])[:ADDITION_TRIALS]:
             added = _add_to_base(result, windows, reduced.score(effect), weak)
-            inflation = max(1.0, reduced.inflation(effect))
-            if added is not None and (result.cost - added.cost) / inflation > needed:
+            if added is not None and _evidence_of_addition(result, added, windows, weak) > needed:
                 result = added
                 break
         else:
             return result, tried
+
+
+def _evidence_of_addition(
+    without: FitResult, added: FitResult, windows: Windows, weak: Prior
+) -> float:
+    """Evidence that the baseline flight shows an effect which was fitted to it in full.
+
+    What the fit gains, over the variance factor at its own residuals: the scan's factor, from one
+    linear step, is far too large where that step does not reach what the effect explains.
+    """
+    level = max(1.0, added.cost / degrees_of_freedom(windows, added))
+    new = [k for k, i in enumerate(added.free) if added.model.names[i] not in without.model.names]
+    factor = SchurComplement.of(added, weak, level).own_inflation(new)
+    return (without.cost - added.cost) / max(1.0, factor)
 
 
 def _add_to_base(

@@ -136,18 +136,29 @@ class SchurComplement:
         left = self.residual + (E - self.K @ np.linalg.solve(self.normal, B)) @ amplitudes
         prior = self.prior if next_prior is None else next_prior
         across = np.linalg.solve(_regularise(self.normal - self.prior + prior), B)
-        E = E - self.K @ across
-        scores = np.einsum("wik,wi->wk", E, left, optimize=True)
         of_parameters = np.zeros((E.shape[2],) * 2)
         if next_prior is not None:
             of_parameters = across.T @ next_prior @ across
-        white = self.reduced_chi2 * np.einsum("wik,wil->kl", E, E, optimize=True) + of_parameters
-        clustered = scores.T @ scores * len(E) / max(len(E) - 1, 1) + next_factor * of_parameters
-        if not (np.isfinite(white).all() and np.isfinite(clustered).all()):
-            return 1.0
-        size = np.sqrt(np.maximum(np.diag(white), 1e-30))
-        ratio = np.linalg.lstsq(white / np.outer(size, size), clustered / np.outer(size, size))[0]
-        return float(np.trace(ratio)) / len(size)
+        return _variance_factor(
+            E - self.K @ across, left, self.reduced_chi2, of_parameters, next_factor
+        )
+
+    def own_inflation(self, columns: Sequence[int]) -> float:
+        """The same for parameters of the fit itself, such as those of an effect in it.
+
+        The residuals are those of the full fit: no linear step from a fit without the effect, which
+        a strong one such as a stall exceeds.
+
+        Args:
+            columns: which of the free parameters.
+        """
+        others = [k for k in range(self.K.shape[2]) if k not in columns]
+        E, K = self.K[..., list(columns)], self.K[..., others]
+        B = np.einsum("wif,wik->fk", K, E, optimize=True)
+        E = E - K @ np.linalg.solve(self.normal[np.ix_(others, others)], B)
+        return _variance_factor(
+            E, self.residual, self.reduced_chi2, np.zeros((len(columns),) * 2), 1.0
+        )
 
     def block_delta_chi2(self, effects: Sequence[Sensitivities], blocks: int = 3) -> Array:
         """Evidence that effects have on parts of a baseline flight: the false-alarm level.
@@ -185,6 +196,28 @@ class SchurComplement:
                     self, effect.variant, E[inside], K, r, A, g_K
                 ).delta_chi2
         return delta_chi2_blocks
+
+
+def _variance_factor(
+    E: Array, left: Array, reduced_chi2: float, of_parameters: Array, factor: float
+) -> float:
+    """Variance of scores clustered by window over that of white residuals, mean of directions.
+
+    Args:
+        E: (W, R, A) derivatives of the effect, outside the span of all else that is fitted.
+        left: (W, R) residuals that the effect leaves.
+        reduced_chi2: variance of a white residual.
+        of_parameters: (A, A) variance from parameters that another flight brings.
+        factor: f, variance factor of those.
+    """
+    scores = np.einsum("wik,wi->wk", E, left, optimize=True)
+    white = reduced_chi2 * np.einsum("wik,wil->kl", E, E, optimize=True) + of_parameters
+    clustered = scores.T @ scores * len(E) / max(len(E) - 1, 1) + factor * of_parameters
+    if not (np.isfinite(white).all() and np.isfinite(clustered).all()):
+        return 1.0
+    size = np.sqrt(np.maximum(np.diag(white), 1e-30))
+    ratio = np.linalg.lstsq(white / np.outer(size, size), clustered / np.outer(size, size))[0]
+    return float(np.trace(ratio)) / len(size)
 
 
 def _score_test(

@@ -11,7 +11,7 @@ from falconwing_kit.gap.baseline import NominalModel
 from falconwing_kit.gap.name import Naming
 from falconwing_kit.sysid.prepare import CHANNELS, PreparedFlight
 from falconwing_kit.sysid.score import score
-from falconwing_kit.sysid.shooting import Windows, cut_windows
+from falconwing_kit.sysid.shooting import Windows
 
 VARIABLES: dict[str, str] = {  # flight variables that a residual may depend on, and their units
     "time": "s", "x": "m", "y": "m", "height": "m", "speed": "m/s", "climb": "m/s",
@@ -99,7 +99,8 @@ def replay_flight(base: NominalModel, naming: Naming, model: Model | None = None
     prior: coefficients drift by a percent from day to day, and that is no gap.
     """
     model = model or (naming.before.model if naming.verdict == "none" else base.result.model)
-    return replay(model, cut_windows(naming.prepared.flights, model), naming.before.initial_states)
+    windows = base.with_measurement_weights(naming.windows)
+    return replay(model, windows, naming.before.initial_states)
 
 
 def residual_map(flight: FlightReplay, calm: FlightReplay) -> tuple[ResidualBin, ...]:

@@ -53,7 +53,7 @@ from falconwing_kit.sysid.fit import (
     prior_rows,
 )
 from falconwing_kit.sysid.prepare import PreparedTable, prepare
-from falconwing_kit.sysid.shooting import Windows, cut_windows
+from falconwing_kit.sysid.shooting import Windows, cut_windows, select_windows
 from falconwing_kit.sysid.uncertainty import uncertainty
 
 Verdict = Literal["named", "ambiguous", "none", "outside"]
@@ -79,6 +79,7 @@ MAX_SET_ASIDE = 2  # effects in both flights that may hide another one
 VISIBLE_SIGMAS = 3.0  # standard deviations of the flight's chi2 that a third effect must explain
 # Squared Mahalanobis distance per parameter: three standard deviations each is another aircraft.
 MAX_MAHALANOBIS = 9.0
+MAX_DIVERGING = 0.1  # share of windows that may be left out since the nominal model diverges there
 
 
 @dataclass(frozen=True)
@@ -214,6 +215,10 @@ def _decide(
                 base, windows, before, best, catalogue, threshold, progress
             )
             ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
+    if chosen:
+        last = chosen[-1] if verdict == "named" else chosen[0]
+        if _overdispersed_evidence(base, windows, chosen[0], last) <= threshold:
+            verdict, chosen = "none", ()
     # No excess over the baseline, no name: the same effect may be in both flights.
     if chosen and chosen[0] is not new and not _is_new(base, windows, chosen[0]):
         verdict, chosen = "none", ()
@@ -232,12 +237,11 @@ def _decide(
     elif not chosen and excess_chi2 > EXCESS_SIGMAS * error:
         verdict = "outside"
     generic = _best_generic(base, windows, before, adding_up, progress)
-    distance_squared, n_prior = _prior_distance(adding_up[-1].result or before, base.prior)
-    distance_squared /= base.prior_inflation
+    distance_squared, n_prior = _prior_distance(base, adding_up[-1].result or before)
     mahalanobis = distance_squared / n_prior
     needed = max(threshold, GENERIC_MARGIN * explained_bic)
     is_generic_better = (
-        generic.delta_bic > GENERIC_EVIDENCE
+        _overdispersed_evidence(base, windows, generic, generic) > GENERIC_EVIDENCE
         and (not chosen or _evidence_over(base, windows, generic, adding_up) > needed)
         and _is_new(base, windows, generic)  # no excess over the baseline, no "outside"
     )
@@ -365,16 +369,38 @@ def _best_generic(
     return replace(best, delta_bic=best.delta_bic - SELECTION_PENALTY)
 
 
-def _prior_distance(result: FitResult, prior: Prior) -> tuple[float, int]:
-    """Squared Mahalanobis distance of the parameters from the prior, and their number.
+def _prior_distance(base: NominalModel, result: FitResult) -> tuple[float, int]:
+    """Squared Mahalanobis distance of the parameters from their prior, and their number.
 
     Near 1 each on another day of the same aircraft; large for another aircraft, or for an effect
     that the parameters imitate.
     """
-    rows, mean = prior_rows(result.model, result.free, prior)
+    rows, mean = prior_rows(result.model, result.free, base.prior)
     n_prior = max(int(np.count_nonzero(rows.any(axis=1))), 1)
     distance = rows @ (result.model.vector[list(result.free)] - mean)
-    return float(np.sum(distance**2)), n_prior
+    return float(np.sum(distance**2)) / base.prior_inflation, n_prior
+
+
+def _overdispersed_evidence(
+    base: NominalModel, windows: Windows, found: EffectCandidate, last: EffectCandidate
+) -> float:
+    """Evidence for an effect where parameters have moved further than another day explains.
+
+    With every effect in the model they should lie within their prior. Where they do not, the
+    nominal model errs by more than it says, and what the effect gains is divided by their squared
+    Mahalanobis distance per parameter [Birge 1932, ratio of external to internal consistency].
+
+    Args:
+        base: the nominal model.
+        windows: of the flight.
+        found: the effect.
+        last: the one that was added last, with the fit of them all.
+    """
+    if last.result is None:
+        return found.delta_bic
+    distance_squared, n_prior = _prior_distance(base, last.result)
+    penalty = bic_penalty(found.effect, windows)
+    return (found.delta_bic + penalty) / max(1.0, distance_squared / n_prior) - penalty
 
 
 def _add_further_effects(
@@ -456,7 +482,8 @@ def _find_further_effect(
     needed = max(threshold, *(_formula_error(base, c, best.effect) for c in chosen))
     if len(chosen) > 1:  # a third effect must show in the chi2 that two leave
         needed = max(needed, VISIBLE_SIGMAS * np.sqrt(2.0 * degrees_of_freedom(windows, last)))
-    if best.delta_bic <= needed or not _is_new(base, windows, best):
+    evidence = _overdispersed_evidence(base, windows, best, best)
+    if evidence <= needed or not _is_new(base, windows, best):
         return None
     return None if any(_is_new(base, windows, c) for c in _rivals(best, others)) else best
 
@@ -686,6 +713,9 @@ def _is_identifiable(
 def fit_flight(base: NominalModel, prepared: PreparedTable) -> tuple[Windows, FitResult]:
     """Fit the nominal model under its prior to a flight, with robust weights.
 
+    A few windows in which the model diverges from any initial state are left out: terms that the
+    baseline flight showed within its own angles may be far off beyond them.
+
     Returns:
         The flight in windows as long as the baseline's, and the fit.
     """
@@ -696,13 +726,13 @@ def fit_flight(base: NominalModel, prepared: PreparedTable) -> tuple[Windows, Fi
         model, unweighted, unweighted.initial_guess[:, : model.n_states]
     )
     robust = robust_weights(residual, unweighted, base.noise)
-    first = fit(
-        model,
-        unweighted.scale_weights(robust / base.noise.deviation(rows, interval)),
-        initial_states,
-        prior=base.prior,
-        tolerance=1.0,
-    )
+    weighted = unweighted.scale_weights(robust / base.noise.deviation(rows, interval))
+    first = fit(model, weighted, initial_states, prior=base.prior, tolerance=1.0)
+    kept = np.flatnonzero(np.isfinite(first.residual).all(axis=1))
+    if (1.0 - MAX_DIVERGING) * len(unweighted) <= len(kept) < len(unweighted):
+        unweighted, weighted = select_windows(unweighted, kept), select_windows(weighted, kept)
+        states = first.initial_states[kept]
+        first = fit(first.model, weighted, states, prior=base.prior, tolerance=1.0)
     return _update_weights(base, unweighted, first, first)
 
 

@@ -148,3 +148,24 @@ def test_error_of_the_parameters_counts_in_another_flight(factor, residual_facto
     assert found == pytest.approx(
         (residual_factor + factor) / 2.0, abs=2.0 * residual_factor * np.sqrt(2.0 / windows)
     )
+
+
+def test_an_effect_in_the_fit_has_the_same_variance():
+    """Of two fitted columns, one alike in a window and one that alternates row by row: with one
+    error for all 20 rows of a window the first has 20 times the variance of white residuals, the
+    second's scores are zero; with white residuals both have one.
+    """
+    rng, windows, rows = np.random.default_rng(7), 400, 20
+    alike = np.ones((windows, rows))
+    K = np.stack([np.tile([1.0, -1.0], rows // 2) * alike, alike], axis=2)
+    white = rng.normal(size=(windows, rows))
+    shared = np.repeat(rng.normal(size=(windows, 1)), rows, axis=1)
+    tolerance = 4.0 * np.sqrt(2.0 / windows)
+    for residual, expected in ((white, (1.0, 1.0)), (shared, (0.0, 20.0))):
+        fitted = SchurComplement(
+            Q=np.zeros((windows, rows, 1)), K=K, residual=residual, prior=np.zeros((2, 2)),
+            reduced_chi2=1.0,
+        )  # fmt: skip
+        for column in (0, 1):
+            factor = fitted.own_inflation([column])
+            assert factor == pytest.approx(expected[column], rel=tolerance, abs=1e-9)
