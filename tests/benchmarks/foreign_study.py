@@ -322,7 +322,11 @@ def gap_closed(rows: list[dict[str, Any]]) -> list[float]:
     rows without an answer have no gap and are counted in the table as refused or traceback.
     """
     gaps = [r["gap"] for r in rows if "gap" in r]
-    return [(b - a) / (b - c) for b, a, c in gaps if b - c > CLEAR_GAP]
+    return [
+        (b - a) / (b - c) if np.isfinite(b) else float(np.isfinite(a))  # inf: a prediction diverged
+        for b, a, c in gaps
+        if b - c > CLEAR_GAP
+    ]
 
 
 def coverage(rows: list[dict[str, Any]]) -> list[bool]:

@@ -65,6 +65,9 @@ def test_figures_count_what_they_say():
     rows = [good, small, row("none", "none"), row("none", "named", ["flap"]),
             row("flap", "traceback", message="boom", where="x.py:1")]  # fmt: skip
     assert gap_closed(rows) == [0.75]
+    inf = float("inf")  # a prediction that diverges: all of it closed where the answer's does not
+    lost = [row("wind", "named", ["wind"], gap=[inf, after, 1.0]) for after in (1.0, inf)]
+    assert gap_closed(lost) == [1.0, 0.0]
     assert coverage(rows) == [True, False]
     text = "\n".join(summary(rows))
     assert "nothing hidden, quiet: 1 of 2 = 0.500" in text

@@ -26,7 +26,8 @@ from falconwing_kit.gap.name import (
     chi2_difference_error,
     name_effect,
 )
-from falconwing_kit.sysid.fit import fit
+from falconwing_kit.sysid.fit import Prior, fit
+from falconwing_kit.sysid.prepare import prepare
 from tests.gap.studies import EFFECTS, own_aircraft, own_base, own_flight, shipped, wind_study
 from tests.sysid.simulated import fly_figure_eights, measured
 
@@ -448,3 +449,44 @@ def test_residuals_that_share_an_error_count_as_fewer():
     assert chi2_difference_error(base, 800) == pytest.approx(0.06708, abs=1e-5)
     base.prior_inflation = 4.0
     assert chi2_difference_error(base, 800) == pytest.approx(0.13416, abs=1e-5)
+
+
+@pytest.mark.parametrize(("sigmas", "divisor"), [(0.5, 1.0), (1.0, 1.0), (2.0, 4.0)])
+def test_parameters_far_from_their_prior_divide_the_evidence(sigmas, divisor):
+    """By hand, Birge's ratio: every parameter two standard deviations away divides what an effect
+    gains by four; within one, by nothing. With a variance factor of four of the prior itself, two
+    are one.
+    """
+    model = rates_model()
+    sigma = {name: 0.1 * (1.0 + k) for k, name in enumerate(model.names)}
+    moved = model.with_values({n: model.values[n] + sigmas * s for n, s in sigma.items()})
+    last = EffectCandidate(
+        EFFECTS["wind"], 0.0, 0.0, {},
+        SimpleNamespace(model=moved, free=tuple(range(len(model.names)))),
+    )  # fmt: skip
+    windows = SimpleNamespace(count=1000)
+    penalty = len(EFFECTS["flap"].parameters) * math.log(1000.0)
+    flap = EffectCandidate(EFFECTS["flap"], 300.0, 0.0, {}, None)
+    base = SimpleNamespace(prior=Prior(dict(model.values), sigma), prior_inflation=1.0)
+    found = name_module._overdispersed_evidence(base, windows, flap, last)
+    assert found == pytest.approx((300.0 + penalty) / divisor - penalty)
+    base.prior_inflation = 4.0
+    assert name_module._overdispersed_evidence(base, windows, flap, last) == pytest.approx(300.0)
+
+
+@pytest.mark.parametrize(("lost", "left_out"), [(1, 1), (3, 0)])
+def test_a_few_windows_in_which_the_model_diverges_are_left_out(lost, left_out):
+    """Of 14 windows one begins at a million m/s, where drag with the square of speed diverges; three
+    of 14 are no exception, and stay.
+    """
+    base = own_base()
+    prepared = prepare(own_flight(None, 30.0, 47), base.found.sigma)
+    flight = prepared.flights[0]
+    whole, _ = name_module.fit_flight(base, prepared)
+    states = flight.state_estimate.copy()
+    begins = whole.nodes[2 : 2 + lost, 0]
+    states[np.searchsorted(flight.t - flight.t[0], begins - 1e-6), 6:9] = 1e6
+    spoilt = replace(prepared, flights=(replace(flight, state_estimate=states),))
+    windows, result = name_module.fit_flight(base, spoilt)
+    assert len(whole) - len(windows) == left_out
+    assert np.isfinite(result.residual).all() == (left_out > 0)

@@ -360,6 +360,30 @@ def test_a_size_with_which_the_flight_diverges_begins_smaller(small):
     assert found.cost == pytest.approx(near.cost, rel=1e-6)
 
 
+def test_a_shorter_step_is_the_best_of_all_that_are_tried(small):
+    """Every damping with every fraction of each window's own step, predicted one by one: the least
+    cost of a damping is the sum of each window's least.
+    """
+    start, windows, initial_states = small
+    far = start.with_values({name: 3.0 * start.values[name] for name in SMALL})
+    problem = fit_module._Problem.of(far, windows, None)
+    here = problem.point(far.vector, initial_states + 0.3)
+    system = problem.linearise(here)
+    costs = []
+    for damping in (0.0, *(fit_module.LEAST_DAMPING * fit_module.DAMPINGS)):
+        k_step = problem.step(here, system, damping)
+        moved = far.with_vector(problem.parameters_after(here, k_step))
+        each = []
+        for fraction in fit_module.STEP_FRACTIONS:
+            step = fraction * system.state_step + system.state_sensitivity @ k_step
+            with np.errstate(all="ignore"):
+                each.append(np.sum(residuals(moved, windows, here.initial_states + step) ** 2, 1))
+        costs.append(np.sum(np.nanmin(np.minimum(each, fit_module.DIVERGED_COST), axis=0)))
+    there, _, full_fails = fit_module._best_shorter_step(problem, here, system, 0.0)
+    assert there.cost == pytest.approx(min(costs), rel=1e-9) and there.cost < here.cost
+    assert full_fails and np.argmin(costs) > 0
+
+
 def test_every_step_lowers_the_cost_and_is_reported(small):
     """Steps that raise it are undone; `on_step` gets the others with their number."""
     start, windows, initial_states = small
