@@ -476,7 +476,7 @@ def test_parameters_far_from_their_prior_divide_the_evidence(sigmas, divisor):
 
 @pytest.mark.parametrize(("lost", "left_out"), [(1, 1), (3, 0)])
 def test_a_few_windows_in_which_the_model_diverges_are_left_out(lost, left_out):
-    """Of 14 windows one begins at a million m/s, where drag with the square of speed diverges; three
+    """Of 14 windows one begins at a million m/s, where drag by the square of speed diverges; three
     of 14 are no exception, and stay.
     """
     base = own_base()
