@@ -390,10 +390,8 @@ def _complete_model(
         needed = SELECTION_PENALTY + ADDITION_EVIDENCE
         enough: dict[str, tuple[float, Sensitivities]] = {}  # the best variant of each effect
         for effect in tried:
-            chi2, penalty = (
-                reduced.score(effect).delta_chi2,
-                bic_penalty(effect.variant.effect, windows),
-            )
+            chi2 = reduced.score(effect).delta_chi2
+            penalty = bic_penalty(effect.variant.effect, windows)
             if chi2 - penalty < needed:
                 continue
             # Within very strong evidence a form from physics comes before one in proportion to a
@@ -415,10 +413,10 @@ def _complete_model(
 def _evidence_of_addition(
     without: FitResult, added: FitResult, windows: Windows, weak: Prior
 ) -> float:
-    """Evidence that the baseline flight shows an effect which was fitted to it in full.
+    """Chi2 that a baseline flight's fit gains by an effect, over its variance factor.
 
-    What the fit gains, over the variance factor at its own residuals: the scan's factor, from one
-    linear step, is far too large where that step does not reach what the effect explains.
+    The factor is that of the full fit's residuals: the scan's, from one linear step, is far too
+    large where that step does not reach what the effect explains.
     """
     level = max(1.0, added.cost / degrees_of_freedom(windows, added))
     new = [k for k, i in enumerate(added.free) if added.model.names[i] not in without.model.names]

@@ -144,7 +144,7 @@ class SchurComplement:
         )
 
     def own_inflation(self, columns: Sequence[int]) -> float:
-        """The same for parameters of the fit itself, such as those of an effect in it.
+        """The variance factor for parameters of the fit itself, such as those of an effect in it.
 
         The residuals are those of the full fit: no linear step from a fit without the effect, which
         a strong one such as a stall exceeds.
@@ -152,6 +152,8 @@ class SchurComplement:
         Args:
             columns: which of the free parameters.
         """
+        if not columns:
+            return 1.0
         others = [k for k in range(self.K.shape[2]) if k not in columns]
         E, K = self.K[..., list(columns)], self.K[..., others]
         B = np.einsum("wif,wik->fk", K, E, optimize=True)

@@ -217,8 +217,13 @@ def _decide(
             ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
     if chosen:
         last = chosen[-1] if verdict == "named" else chosen[0]
-        if _overdispersed_evidence(base, windows, chosen[0], last) <= threshold:
+        evidence = _evidence_by_birge_ratio(base, windows, chosen[0], last)
+        if evidence <= threshold:
             verdict, chosen = "none", ()
+            rest = ranking[1:]
+            ranking = sorted(
+                [replace(ranking[0], delta_bic=evidence), *rest], key=lambda c: -c.delta_bic
+            )
     # No excess over the baseline, no name: the same effect may be in both flights.
     if chosen and chosen[0] is not new and not _is_new(base, windows, chosen[0]):
         verdict, chosen = "none", ()
@@ -241,7 +246,7 @@ def _decide(
     mahalanobis = distance_squared / n_prior
     needed = max(threshold, GENERIC_MARGIN * explained_bic)
     is_generic_better = (
-        _overdispersed_evidence(base, windows, generic, generic) > GENERIC_EVIDENCE
+        _evidence_by_birge_ratio(base, windows, generic, generic) > GENERIC_EVIDENCE
         and (not chosen or _evidence_over(base, windows, generic, adding_up) > needed)
         and _is_new(base, windows, generic)  # no excess over the baseline, no "outside"
     )
@@ -381,14 +386,14 @@ def _prior_distance(base: NominalModel, result: FitResult) -> tuple[float, int]:
     return float(np.sum(distance**2)) / base.prior_inflation, n_prior
 
 
-def _overdispersed_evidence(
+def _evidence_by_birge_ratio(
     base: NominalModel, windows: Windows, found: EffectCandidate, last: EffectCandidate
 ) -> float:
     """Evidence for an effect where parameters have moved further than another day explains.
 
     With every effect in the model they should lie within their prior. Where they do not, the
     nominal model errs by more than it says, and what the effect gains is divided by their squared
-    Mahalanobis distance per parameter [Birge 1932, ratio of external to internal consistency].
+    Mahalanobis distance per parameter, the square of the Birge ratio [Birge 1932].
 
     Args:
         base: the nominal model.
@@ -482,7 +487,7 @@ def _find_further_effect(
     needed = max(threshold, *(_formula_error(base, c, best.effect) for c in chosen))
     if len(chosen) > 1:  # a third effect must show in the chi2 that two leave
         needed = max(needed, VISIBLE_SIGMAS * np.sqrt(2.0 * degrees_of_freedom(windows, last)))
-    evidence = _overdispersed_evidence(base, windows, best, best)
+    evidence = _evidence_by_birge_ratio(base, windows, best, best)
     if evidence <= needed or not _is_new(base, windows, best):
         return None
     return None if any(_is_new(base, windows, c) for c in _rivals(best, others)) else best
@@ -713,8 +718,9 @@ def _is_identifiable(
 def fit_flight(base: NominalModel, prepared: PreparedTable) -> tuple[Windows, FitResult]:
     """Fit the nominal model under its prior to a flight, with robust weights.
 
-    A few windows in which the model diverges from any initial state are left out: terms that the
-    baseline flight showed within its own angles may be far off beyond them.
+    Windows in which the model diverges, from the first guess as from where the fit ends, are left
+    out if they are at most MAX_DIVERGING of all: terms that the baseline flight showed within its
+    own angles may be far off beyond them.
 
     Returns:
         The flight in windows as long as the baseline's, and the fit.

@@ -30,6 +30,7 @@ from falconwing_kit.gap.measure import (
 )
 from falconwing_kit.gap.name import MAX_MAHALANOBIS, Naming
 from falconwing_kit.sysid.diagnose import diagnose_pair, require_sound_table
+from falconwing_kit.sysid.shooting import cut_windows
 
 SHORTEST_S = 20.0
 SAME_RATE = 0.1  # relative: cameras of one kind differ by less
@@ -297,6 +298,11 @@ def _warnings(study: GapStudy) -> list[str]:
     said = [f"calm flight: {w}" for w in study.base.found.warnings]
     said += [f"flight: {w}" for w in study.naming.prepared.warnings]
     said += study.faults
+    if lost := windows_left_out(study.base, study.naming):
+        said.append(
+            f"in {lost} of {lost + len(study.naming.windows)} windows the calm flight's model "
+            "diverges; they are left out"
+        )
     if added := added_effects(study.base):
         said.append(
             "the calm flight showed loads that the model's terms lack; added to the base: "
@@ -309,6 +315,12 @@ def _warnings(study: GapStudy) -> list[str]:
     if study.naming.mahalanobis > MAX_MAHALANOBIS:
         said.append(mismatch_text(study))
     return said
+
+
+def windows_left_out(base: NominalModel, naming: Naming) -> int:
+    """How many windows of the flight are left out since the nominal model diverges in them."""
+    whole = cut_windows(naming.prepared.flights, base.result.model, base.window_s)
+    return len(whole) - len(naming.windows)
 
 
 def added_effects(base: NominalModel) -> tuple[str, ...]:

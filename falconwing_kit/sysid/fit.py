@@ -23,11 +23,13 @@ from falconwing_kit.sysid.shooting import (
 HUBER = 3.0  # residuals beyond this many sigmas count linearly [Huber 1964]
 DIVERGED_COST = 1e12  # of a window whose prediction overflows: fewer of them is a better fit
 STANDS_OUT = 3.0  # a window whose cost is so many times the median may be in a local minimum
-# Where a step fails, it is tried with so many times more damping, at least with the least ...
+# A step that fails is tried with so many times more damping, and at least with the least; and with
+# these fractions of the step of each window's initial state.
 LEAST_DAMPING, DAMPINGS = 1e-5, np.array([1.0, 1e2, 1e4, 1e6, 1e8])
-REFIT_DAMPINGS = (0.0, 1.0, 1e3, 1e6)
-POOR_GAIN = 0.5  # of the predicted reduction: less, and initial states are fitted by themselves
-STEP_FRACTIONS = np.array([1.0, 0.3, 0.0])  # ... and with these parts of each initial state's step
+STEP_FRACTIONS = np.array([1.0, 0.3, 0.0])
+# Where that gains less than this share of the predicted reduction, steps in K with so many times
+# its damping are tried, for each of which the initial states are fitted.
+POOR_GAIN, REFIT_DAMPINGS = 0.5, (0.0, 1.0, 1e3, 1e6)
 START_FRACTIONS = np.array([0.3, 0.1, 0.03, 0.01])  # of a first guess that diverges
 
 
@@ -141,8 +143,8 @@ def fit(
         initial_states: (W, n_states) first guess.
         prior: on K, or None.
         iterations: maximum number of steps.
-        tolerance: stop when a step lowers chi2 by less (0.1 moves no parameter by more than 0.3 of
-            its sigma).
+        tolerance: stop when a step is predicted to lower chi2 by less (0.1 moves no parameter by
+            more than 0.3 of its sigma); in proportion more where chi2 is far above its expectation.
         linear: residual and derivatives at the first guess, if already computed.
         on_step: called after each Gauss-Newton step with its number and the cost per measurement.
         shrink: names of parameters that begin smaller where the first guess diverges, such as the
@@ -304,9 +306,9 @@ class _Problem:
 
 
 def _smaller_start(problem: _Problem, here: _Point, names: Sequence[str]) -> Array:
-    """(P,) The first guess with these parameters at the fraction with which fewest windows diverge.
+    """(P,) The first guess, with some parameters reduced until fewest windows diverge.
 
-    The largest such one of START_FRACTIONS, within the bounds; parameters that are fixed stay.
+    To the largest such one of START_FRACTIONS, within the bounds; parameters that are fixed stay.
     """
     at = here.vector[list(problem.free)]
     smaller = np.isin([problem.model.names[i] for i in problem.free], list(names))

@@ -323,7 +323,8 @@ def gap_closed(rows: list[dict[str, Any]]) -> list[float]:
     """
     gaps = [r["gap"] for r in rows if "gap" in r]
     return [
-        (b - a) / (b - c) if np.isfinite(b) else float(np.isfinite(a))  # inf: a prediction diverged
+        # Infinite where a prediction diverges: all is closed or nothing.
+        (b - a) / (b - c) if np.isfinite([a, b]).all() else float(np.isfinite(a))
         for b, a, c in gaps
         if b - c > CLEAR_GAP
     ]

@@ -453,9 +453,9 @@ def test_residuals_that_share_an_error_count_as_fewer():
 
 @pytest.mark.parametrize(("sigmas", "divisor"), [(0.5, 1.0), (1.0, 1.0), (2.0, 4.0)])
 def test_parameters_far_from_their_prior_divide_the_evidence(sigmas, divisor):
-    """By hand, Birge's ratio: every parameter two standard deviations away divides what an effect
-    gains by four; within one, by nothing. With a variance factor of four of the prior itself, two
-    are one.
+    """By hand, Birge's ratio squared: every parameter two standard deviations away divides what an
+    effect gains by four; within one, by nothing. With a variance factor of four of the prior
+    itself, two are one.
     """
     model = rates_model()
     sigma = {name: 0.1 * (1.0 + k) for k, name in enumerate(model.names)}
@@ -468,10 +468,10 @@ def test_parameters_far_from_their_prior_divide_the_evidence(sigmas, divisor):
     penalty = len(EFFECTS["flap"].parameters) * math.log(1000.0)
     flap = EffectCandidate(EFFECTS["flap"], 300.0, 0.0, {}, None)
     base = SimpleNamespace(prior=Prior(dict(model.values), sigma), prior_inflation=1.0)
-    found = name_module._overdispersed_evidence(base, windows, flap, last)
+    found = name_module._evidence_by_birge_ratio(base, windows, flap, last)
     assert found == pytest.approx((300.0 + penalty) / divisor - penalty)
     base.prior_inflation = 4.0
-    assert name_module._overdispersed_evidence(base, windows, flap, last) == pytest.approx(300.0)
+    assert name_module._evidence_by_birge_ratio(base, windows, flap, last) == pytest.approx(300.0)
 
 
 @pytest.mark.parametrize(("lost", "left_out"), [(1, 1), (3, 0)])

@@ -1,13 +1,17 @@
 """Study: the Python interface gives the record of report.json and hands on airframe and effects."""
 
 import inspect
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from falconwing_kit.aircraft import Effect, Parameter, load_airframe, rates_model, scale_model
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.gap import Study, gap_record, study
-from tests.gap.studies import shipped, wind_study
+from falconwing_kit.gap import name as name_module
+from falconwing_kit.sysid.shooting import select_windows
+from tests.gap.studies import own_base, own_flight, shipped, wind_study
 
 SIZE = (Parameter("gear_size", 0.01, 0.0, 0.3, "1/m", "drag of the gear"),)
 
@@ -73,3 +77,26 @@ def test_an_effect_that_clashes_is_refused():
     pair = shipped("case08_calm"), shipped("case08_flight")
     with pytest.raises(InputError, match="'flap': expected a new name"):
         Study(*pair, effects=[clash]).report()
+
+
+def test_a_report_says_which_windows_are_left_out(monkeypatch):
+    """One window of a flight is taken away, as where the nominal model diverges: the report is
+    whole, names what is hidden in the others, and says so.
+    """
+    fit_flight = name_module.fit_flight
+
+    def without_the_third(base, prepared):
+        windows, before = fit_flight(base, prepared)
+        kept = np.delete(np.arange(len(windows)), 2)
+        names = ("initial_states", "residual", "parameter_jacobian", "initial_state_jacobian")
+        rest = {name: getattr(before, name)[kept] for name in names}
+        return select_windows(windows, kept), replace(before, **rest)
+
+    monkeypatch.setattr(name_module, "fit_flight", without_the_third)
+    monkeypatch.setattr(study, "identify_baseline", lambda *_: own_base())
+    flight = own_flight("adverse_yaw", 30.0, 41, adverse_yaw=0.08)
+    report = Study(baseline=own_flight(None, 30.0, 47), flight=flight).report()
+    assert report["effects"] == ["adverse_yaw"]
+    assert [w for w in report["warnings"] if "left out" in w] == [
+        "in 1 of 14 windows the calm flight's model diverges; they are left out"
+    ]

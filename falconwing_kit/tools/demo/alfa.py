@@ -51,7 +51,7 @@ from falconwing_kit.sysid.forecast import (
 )
 from falconwing_kit.sysid.identify import Identification, identify
 from falconwing_kit.sysid.prepare import prepare
-from falconwing_kit.sysid.shooting import Windows, cut_windows, pose_residuals
+from falconwing_kit.sysid.shooting import Windows, pose_residuals
 from falconwing_kit.sysid.uncertainty import uncertainty
 from falconwing_kit.tools.demo.figures import draw_forecast_errors, draw_predictions
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, QUIET, figure
@@ -567,15 +567,9 @@ def _analyse_offset(
     """One cut: every effect's onset, delta_bic of the logged throttle, residual ratios."""
     fixed_throttle_table = slice_time(hold_throttle(table, failure), begin, end)
     windows, before = fit_flight(base, prepare(fixed_throttle_table, base.found.sigma))
-    logged = cut_windows(
-        prepare(slice_time(table, begin, end), base.found.sigma).flights, before.model, WINDOW_S
-    )
-    logged_fit = fit(
-        before.model,
-        replace(logged, weight=windows.weight),
-        before.initial_states,
-        prior=base.prior,
-    )
+    logged_table = prepare(slice_time(table, begin, end), base.found.sigma)
+    logged = replace(windows, flights=logged_table.flights)  # other commands, the same poses
+    logged_fit = fit(before.model, logged, before.initial_states, prior=base.prior)
     late = windows.nodes[:, -1] + begin > failure
     onsets, after = [], before
     for effect in catalogue:
