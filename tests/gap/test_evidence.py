@@ -150,21 +150,22 @@ def test_error_of_the_parameters_counts_in_another_flight(factor, residual_facto
     )
 
 
-def test_an_effect_in_the_fit_has_the_same_variance():
-    """Of two fitted columns, one alike in a window and one that alternates row by row: with one
-    error for all 20 rows of a window the first has 20 times the variance of white residuals, the
-    second's scores are zero; with white residuals both have one.
+def test_variance_of_an_effect_in_the_fit_is_beside_the_other_parameters():
+    """Two fitted columns of 20 rows: a + b and a, where a is 1 in every row and b alternates, 1 and
+    -1. Beside the other the first is b, the second (a - b) / 2: 1 in ten rows, else 0. With one
+    error for all rows of a window the scores are 0, and 10 errors where ten independent ones have
+    the variance 10: factors 0 and 100 / 10; with white residuals both are 1. Residuals of 3 sigma.
     """
     rng, windows, rows = np.random.default_rng(7), 400, 20
-    alike = np.ones((windows, rows))
-    K = np.stack([np.tile([1.0, -1.0], rows // 2) * alike, alike], axis=2)
-    white = rng.normal(size=(windows, rows))
-    shared = np.repeat(rng.normal(size=(windows, 1)), rows, axis=1)
+    a = np.ones((windows, rows))
+    K = np.stack([a + np.tile([1.0, -1.0], rows // 2), a], axis=2)
+    white = 3.0 * rng.normal(size=(windows, rows))
+    shared = np.repeat(3.0 * rng.normal(size=(windows, 1)), rows, axis=1)
     tolerance = 4.0 * np.sqrt(2.0 / windows)
-    for residual, expected in ((white, (1.0, 1.0)), (shared, (0.0, 20.0))):
+    for residual, expected in ((white, (1.0, 1.0)), (shared, (0.0, 10.0))):
         fitted = SchurComplement(
             Q=np.zeros((windows, rows, 1)), K=K, residual=residual, prior=np.zeros((2, 2)),
-            reduced_chi2=1.0,
+            reduced_chi2=9.0,
         )  # fmt: skip
         for column in (0, 1):
             factor = fitted.own_inflation([column])
