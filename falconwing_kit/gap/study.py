@@ -298,7 +298,7 @@ def _warnings(study: GapStudy) -> list[str]:
     said = [f"calm flight: {w}" for w in study.base.found.warnings]
     said += [f"flight: {w}" for w in study.naming.prepared.warnings]
     said += study.faults
-    if lost := windows_left_out(study.base, study.naming):
+    if lost := _windows_left_out(study.base, study.naming):
         said.append(
             f"in {lost} of {lost + len(study.naming.windows)} windows the calm flight's model "
             "diverges; they are left out"
@@ -317,7 +317,7 @@ def _warnings(study: GapStudy) -> list[str]:
     return said
 
 
-def windows_left_out(base: NominalModel, naming: Naming) -> int:
+def _windows_left_out(base: NominalModel, naming: Naming) -> int:
     """How many windows of the flight are left out since the nominal model diverges in them."""
     whole = cut_windows(naming.prepared.flights, base.result.model, base.window_s)
     return len(whole) - len(naming.windows)
