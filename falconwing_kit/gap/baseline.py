@@ -421,7 +421,7 @@ def _evidence_of_addition(
     level = max(1.0, added.cost / degrees_of_freedom(windows, added))
     new = [k for k, i in enumerate(added.free) if added.model.names[i] not in without.model.names]
     factor = SchurComplement.of(added, weak, level).own_inflation(new)
-    return (without.cost - added.cost) / max(1.0, factor)
+    return (without.cost - added.cost) / level / max(1.0, factor)
 
 
 def _add_to_base(

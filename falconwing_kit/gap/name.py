@@ -30,6 +30,7 @@ import numpy as np
 
 from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE
+from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.terms import Parameter
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.baseline import (
@@ -50,6 +51,7 @@ from falconwing_kit.sysid.fit import (
     Prior,
     fit,
     fit_initial_states,
+    has_diverged,
     prior_rows,
 )
 from falconwing_kit.sysid.prepare import PreparedTable, prepare
@@ -206,24 +208,21 @@ def _decide(
     chosen: tuple[EffectCandidate, ...] = ()
     verdict: Verdict = "none"
     # Named, or ambiguous where others come within "very strong" of the best.
+    ranking = _lower_strained_rivals(base, windows, ranking, threshold)
     if ranking[0].delta_bic > threshold:
         best = ranking[0]
         rivals = _rivals(best, ranking[1:])
         verdict, chosen = ("ambiguous", (best, *rivals)) if rivals else ("named", (best,))
-        if verdict == "named":
-            chosen = _add_further_effects(
-                base, windows, before, best, catalogue, threshold, progress
-            )
-            ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
-    if chosen:
-        last = chosen[-1] if verdict == "named" else chosen[0]
-        evidence = _evidence_by_birge_ratio(base, windows, chosen[0], last)
+    if verdict == "named":
+        chosen = _add_further_effects(
+            base, windows, before, chosen[0], catalogue, threshold, progress
+        )
+        ranking = [chosen[0], *(c for c in ranking if c.effect.name != chosen[0].effect.name)]
+        evidence = _evidence_by_birge_ratio(base, windows, chosen[0], chosen[-1])
         if evidence <= threshold:
             verdict, chosen = "none", ()
-            rest = ranking[1:]
-            ranking = sorted(
-                [replace(ranking[0], delta_bic=evidence), *rest], key=lambda c: -c.delta_bic
-            )
+            ranking[0] = replace(ranking[0], delta_bic=evidence)
+            ranking.sort(key=lambda c: -c.delta_bic)
     # No excess over the baseline, no name: the same effect may be in both flights.
     if chosen and chosen[0] is not new and not _is_new(base, windows, chosen[0]):
         verdict, chosen = "none", ()
@@ -241,7 +240,7 @@ def _decide(
         verdict, chosen = "outside", ()
     elif not chosen and excess_chi2 > EXCESS_SIGMAS * error:
         verdict = "outside"
-    generic = _best_generic(base, windows, before, adding_up, progress)
+    generic = _best_generic(base, windows, before, adding_up, bool(chosen), progress)
     distance_squared, n_prior = _prior_distance(base, adding_up[-1].result or before)
     mahalanobis = distance_squared / n_prior
     needed = max(threshold, GENERIC_MARGIN * explained_bic)
@@ -277,6 +276,32 @@ def _rivals(
     """The others within very strong evidence of the best, but for those that it is part of."""
     near = (c for c in others if c.delta_bic > best.delta_bic - VERY_STRONG_EVIDENCE)
     return tuple(c for c in near if best.effect.name not in c.effect.contains)
+
+
+def _lower_strained_rivals(
+    base: NominalModel,
+    windows: Windows,
+    ranking: list[EffectCandidate],
+    threshold: float,
+) -> list[EffectCandidate]:
+    """The ranking without ambiguity by an effect that only a changed aircraft could have.
+
+    Of several within very strong evidence, each is judged by its own fit: those whose evidence over
+    the squared Birge ratio of their parameters is below the threshold rank by that.
+    """
+    while ranking[0].delta_bic > threshold and (rivals := _rivals(ranking[0], ranking[1:])):
+        evidence = {
+            c.effect.name: _evidence_by_birge_ratio(base, windows, c, c)
+            for c in (ranking[0], *rivals)
+        }
+        lower = {name: e for name, e in evidence.items() if e <= threshold}
+        if not lower:
+            break
+        ranking = sorted(
+            (replace(c, delta_bic=lower.get(c.effect.name, c.delta_bic)) for c in ranking),
+            key=lambda c: -c.delta_bic,
+        )
+    return ranking
 
 
 def _evidence_over(
@@ -363,13 +388,18 @@ def _best_generic(
     windows: Windows,
     before: FitResult,
     named: Sequence[EffectCandidate],
+    is_chosen: bool,
     progress: Progress,
 ) -> EffectCandidate:
-    """The generic effect that explains most, fitted in full where it may exceed the named ones."""
+    """The generic effect that explains most, fitted in full where it could decide.
+
+    That is where it may exceed the named ones, or is taken as real and none of them was chosen.
+    """
     best = _scan(base, windows, before, available_generic_effects(before.model), progress)[0]
-    if best.delta_bic > sum(c.delta_bic for c in named) or best.delta_chi2 > sum(
-        c.delta_chi2 for c in named
-    ):
+    may_exceed = best.delta_bic > sum(c.delta_bic for c in named) or (
+        best.delta_chi2 > sum(c.delta_chi2 for c in named)
+    )
+    if may_exceed or (best.delta_bic > GENERIC_EVIDENCE and not is_chosen):
         best = _fit_effect(base, windows, before, best, progress)
     return replace(best, delta_bic=best.delta_bic - SELECTION_PENALTY)
 
@@ -405,6 +435,8 @@ def _evidence_by_birge_ratio(
         return found.delta_bic
     distance_squared, n_prior = _prior_distance(base, last.result)
     penalty = bic_penalty(found.effect, windows)
+    if found.effect in GENERIC_EFFECTS:
+        penalty += SELECTION_PENALTY
     return (found.delta_bic + penalty) / max(1.0, distance_squared / n_prior) - penalty
 
 
@@ -734,7 +766,7 @@ def fit_flight(base: NominalModel, prepared: PreparedTable) -> tuple[Windows, Fi
     robust = robust_weights(residual, unweighted, base.noise)
     weighted = unweighted.scale_weights(robust / base.noise.deviation(rows, interval))
     first = fit(model, weighted, initial_states, prior=base.prior, tolerance=1.0)
-    kept = np.flatnonzero(np.isfinite(first.residual).all(axis=1))
+    kept = np.flatnonzero(~has_diverged(first.residual))
     if (1.0 - MAX_DIVERGING) * len(unweighted) <= len(kept) < len(unweighted):
         unweighted, weighted = select_windows(unweighted, kept), select_windows(weighted, kept)
         states = first.initial_states[kept]

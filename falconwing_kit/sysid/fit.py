@@ -30,7 +30,7 @@ STEP_FRACTIONS = np.array([1.0, 0.3, 0.0])
 # Where that gains less than this share of the predicted reduction, steps in K with so many times
 # its damping are tried, for each of which the initial states are fitted.
 POOR_GAIN, REFIT_DAMPINGS = 0.5, (0.0, 1.0, 1e3, 1e6)
-START_FRACTIONS = np.array([0.3, 0.1, 0.03, 0.01])  # of a first guess that diverges
+START_FRACTIONS = np.array([1.0, 0.3, 0.1, 0.03, 0.01])  # of a first guess that diverges
 
 
 @dataclass(frozen=True)
@@ -316,8 +316,7 @@ def _smaller_start(problem: _Problem, here: _Point, names: Sequence[str]) -> Arr
     trials = problem.parameters_after(here, (fractions - 1.0) * at)
     states = np.repeat(here.initial_states[None], len(trials), axis=0)
     residual = residual_sets(problem.model, problem.windows, states, trials.T)
-    diverged = _window_cost(residual) >= DIVERGED_COST  # (T, W)
-    return np.asarray(trials[int(np.argmin(diverged.sum(axis=1)))])
+    return np.asarray(trials[int(np.argmin(has_diverged(residual).sum(axis=1)))])
 
 
 def _best_shorter_step(
@@ -361,7 +360,7 @@ def _step_with_fitted_states(
     For a start so far away that the linearised steps of the initial states do not help.
     """
     for factor in REFIT_DAMPINGS:
-        damped = max(30.0 * damping, 1e-6) * factor if factor > 0.0 else damping
+        damped = max(30.0 * damping, LEAST_DAMPING) * factor if factor > 0.0 else damping
         vector = problem.parameters_after(here, problem.step(here, system, damped))
         states, residual = fit_initial_states(
             problem.model.with_vector(vector), problem.windows, here.initial_states, iterations=3
@@ -395,6 +394,11 @@ def sqrt_huber_weight(residual: Array, windows: Windows) -> Array:
     """Square root of Huber's IRLS weight (W, L, 6) of residuals (W, R): 1 within HUBER sigmas."""
     size = np.abs(pose_residuals(residual, windows))
     return np.sqrt(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
+
+
+def has_diverged(residual: Array) -> Array:
+    """(..., W) Whether the prediction of a window has diverged, from residuals (..., W, R)."""
+    return np.asarray(_window_cost(residual) >= DIVERGED_COST)
 
 
 def _window_cost(residual: Array) -> Array:

@@ -11,6 +11,7 @@ from falconwing_kit.sysid.fit import fit_initial_states
 from falconwing_kit.sysid.shooting import Windows, pose_residuals
 
 BLOCK_S = 10.0  # neighbouring samples are correlated, so whole blocks of time are held out
+DIVERGED_RESIDUAL = 1e4  # [sigma] at most of a residual in a score, which stays finite
 
 
 @dataclass(frozen=True)
@@ -22,8 +23,13 @@ class PredictionScore:
     position_m: float  # root mean square distance over all measured rows
     attitude_deg: float  # root mean square over all measured rows and the three angles
     windows: int
-    residual: Array  # (W, L, 6) predicted minus measured, weighted
+    residual: Array  # (W, L, 6) predicted minus measured, weighted; at most DIVERGED_RESIDUAL
     initial_states: Array  # (W, n_states)
+
+    @property
+    def diverged(self) -> int:
+        """How many windows have residuals of DIVERGED_RESIDUAL and more, which count as that."""
+        return int(np.count_nonzero(np.abs(self.residual).max(axis=(1, 2)) >= DIVERGED_RESIDUAL))
 
 
 def score(model: Model, windows: Windows, initial_states: Array | None = None) -> PredictionScore:
@@ -75,6 +81,9 @@ def score_residual(windows: Windows, initial_states: Array, residual: Array) -> 
     """
     if residual.ndim == 2:
         residual = pose_residuals(residual, windows)
+    measured_only = np.where(windows.weight > 0.0, residual, 0.0)
+    no_number = np.nan_to_num(measured_only, nan=DIVERGED_RESIDUAL)
+    residual = np.clip(no_number, -DIVERGED_RESIDUAL, DIVERGED_RESIDUAL)
     squares = residual**2
     # chi2 per degree of freedom, in all and per channel: the fitted states are shared out evenly.
     share = 1.0 - len(windows) * initial_states.shape[1] / max(windows.count, 1)

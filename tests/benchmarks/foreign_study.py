@@ -179,6 +179,7 @@ def _report(case: Any, with_airframe: bool) -> dict[str, Any]:
     report: dict[str, Any] = Study(
         baseline=case.calm, flight=case.flight, airframe=airframe
     ).report()
+    json.dumps(report, allow_nan=False)  # as `falconwing gap` writes it
     return report
 
 

@@ -474,6 +474,85 @@ def test_parameters_far_from_their_prior_divide_the_evidence(sigmas, divisor):
     assert name_module._evidence_by_birge_ratio(base, windows, flap, last) == pytest.approx(300.0)
 
 
+def test_the_best_of_many_generic_effects_pays_for_the_choice_before_the_division(monkeypatch):
+    """By hand, divided by four: what it gains over chance and over its own parameters."""
+    monkeypatch.setattr(name_module, "_prior_distance", lambda *_: (40.0, 10))
+    windows, chance = SimpleNamespace(count=1000), 2.0 * math.log(len(GENERIC_EFFECTS))
+    penalty = len(GENERIC_EFFECTS[0].parameters) * math.log(1000.0)
+    strong = EffectCandidate(GENERIC_EFFECTS[0], 400.0 - penalty - chance, 400.0, {}, "a fit")
+    found = name_module._evidence_by_birge_ratio(None, windows, strong, strong)
+    assert found == pytest.approx(100.0 - penalty - chance)
+
+
+def test_a_rival_that_needs_another_aircraft_makes_no_name_ambiguous(monkeypatch):
+    """By hand: of 100, 95 and 92 the first leaves 3 once divided, so that it ranks last, and the
+    others remain as they are. Where all leave 3, none is above the threshold of 10; where a rival
+    alone leaves 3, the first is alone.
+    """
+    ranking = [
+        EffectCandidate(EFFECTS[name], evidence, evidence, {}, "a fit")
+        for name, evidence in (("wind", 100.0), ("flap", 95.0), ("stall", 92.0))
+    ]
+
+    def lowered(*weak):
+        monkeypatch.setattr(
+            name_module, "_evidence_by_birge_ratio",
+            lambda base, windows, c, last: 3.0 if last.effect.name in weak else c.delta_bic,
+        )  # fmt: skip
+        found = name_module._lower_strained_rivals(None, None, ranking, 10.0)
+        return [(c.effect.name, c.delta_bic) for c in found]
+
+    assert lowered("wind") == [("flap", 95.0), ("stall", 92.0), ("wind", 3.0)]
+    assert [evidence for _, evidence in lowered("wind", "flap", "stall")] == [3.0] * 3
+    assert lowered("flap", "stall") == [("wind", 100.0), ("flap", 3.0), ("stall", 3.0)]
+    assert lowered() == [(c.effect.name, c.delta_bic) for c in ranking]
+
+
+@pytest.mark.parametrize(("divided", "is_named"), [(9.0, False), (11.0, True)])
+def test_a_name_needs_the_threshold_after_the_division(monkeypatch, divided, is_named):
+    """By the rule, at a threshold of 10."""
+    base = replace(own_base(), false_alarm_level=0.0)
+    monkeypatch.setattr(name_module, "_evidence_by_birge_ratio", lambda *_: divided)
+    naming = name_effect(base, own_flight("adverse_yaw", 20.0, 41, adverse_yaw=0.08))
+    assert (naming.verdict == "named") == is_named
+    assert naming.threshold == VERY_STRONG_EVIDENCE
+    shown = {c.effect.name: c.delta_bic for c in naming.ranking}["adverse_yaw"]
+    assert (shown == divided) == (not is_named)
+
+
+@pytest.mark.parametrize(("divided", "is_found"), [(9.0, False), (11.0, True)])
+def test_a_further_effect_needs_the_threshold_after_the_division(monkeypatch, divided, is_found):
+    """By the rule, at a threshold of 10, whatever it gains before."""
+    result = SimpleNamespace(model=SimpleNamespace(values={}, effects=()))
+    wind, lag = (
+        EffectCandidate(EFFECTS[name], 100.0, 100.0, {}, result)
+        for name in ("wind", "actuator_lag")
+    )
+    base = SimpleNamespace(result=result, found=result)
+    for name, answer in (
+        ("_scan", [lag]),
+        ("_rank", [lag]),
+        ("_is_new", True),
+        ("_evidence_by_birge_ratio", divided),
+    ):
+        monkeypatch.setattr(name_module, name, lambda *_, answer=answer: answer)
+    found = name_module._find_further_effect(base, None, (wind,), CATALOGUE, 10.0, print)
+    assert found is (lag if is_found else None)
+
+
+@pytest.mark.parametrize("is_chosen", [False, True])
+def test_a_generic_effect_that_could_decide_alone_is_fitted_in_full(is_chosen):
+    """Beside a name that explains more than any generic effect the scan is enough, unless that
+    name was not chosen: evidence of a scan is not divided and has no change over the baseline.
+    """
+    base, flight = own_base(), own_flight("adverse_yaw", 20.0, 41, adverse_yaw=0.08)
+    windows, before = name_module.fit_flight(base, prepare(flight, base.found.sigma))
+    named = EffectCandidate(EFFECTS["adverse_yaw"], 1e9, 1e9, {}, None)
+    found = name_module._best_generic(base, windows, before, [named], is_chosen, lambda _: None)
+    assert found.delta_bic > name_module.GENERIC_EVIDENCE
+    assert (found.result is None) == is_chosen
+
+
 @pytest.mark.parametrize(("lost", "left_out"), [(1, 1), (3, 0)])
 def test_a_few_windows_in_which_the_model_diverges_are_left_out(lost, left_out):
     """Of 14 windows one begins at a million m/s, where drag by the square of speed diverges; three

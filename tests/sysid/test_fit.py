@@ -384,6 +384,32 @@ def test_a_shorter_step_is_the_best_of_all_that_are_tried(small):
     assert full_fails and np.argmin(costs) > 0
 
 
+def test_a_step_with_fitted_states_is_the_longest_that_helps(small):
+    """Steps with more and more damping, each with the initial states fitted to it: the first whose
+    cost is below the least so far; none where nothing is.
+    """
+    start, windows, initial_states = small
+    far = start.with_values({name: 3.0 * start.values[name] for name in SMALL})
+    problem = fit_module._Problem.of(far, windows, None)
+    here = problem.point(far.vector, initial_states + 0.3)
+    system = problem.linearise(here)
+    dampings, costs = [], []
+    for factor in fit_module.REFIT_DAMPINGS:
+        dampings.append(30.0 * 0.01 * factor if factor else 0.01)
+        step = problem.step(here, system, dampings[-1])
+        vector = problem.parameters_after(here, step)
+        _, residual = fit_module.fit_initial_states(
+            far.with_vector(vector), windows, here.initial_states, iterations=3
+        )
+        costs.append(problem.cost(residual, vector))
+    for limit in (1.1 * max(costs), 1.001 * sorted(costs)[1], 1.001 * min(costs)):
+        there, damping = fit_module._step_with_fitted_states(problem, here, system, 0.01, limit)
+        first = next(k for k, cost in enumerate(costs) if cost < limit)
+        assert (there.cost, damping) == pytest.approx((costs[first], dampings[first]), rel=1e-6)
+    least = min(costs)
+    assert fit_module._step_with_fitted_states(problem, here, system, 0.01, least) is None
+
+
 def test_every_step_lowers_the_cost_and_is_reported(small):
     """Steps that raise it are undone; `on_step` gets the others with their number."""
     start, windows, initial_states = small

@@ -9,7 +9,12 @@ from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.core.frames import GRAVITY
 from falconwing_kit.sysid.prepare import prepare
-from falconwing_kit.sysid.score import score, score_constant_turn, split_blocks
+from falconwing_kit.sysid.score import (
+    score,
+    score_constant_turn,
+    score_residual,
+    split_blocks,
+)
 from falconwing_kit.sysid.shooting import cut_windows, fly_windows, residuals, select_windows
 from tests.sysid.simulated import MARKER, drawn, fly_figure_eights, measured
 
@@ -160,3 +165,21 @@ def test_a_coordinated_turn_is_forecast_by_the_constant_turn():
     straight = windows.initial_guess.copy()
     straight[:, 5] = 0.0  # wings level: straight on, off by (2 s)^2 / 2 of 5.7 m/s^2 at the end
     assert score_constant_turn(windows, straight).position_m > 2.0
+
+
+def test_a_window_that_diverges_keeps_the_score_finite(flight):
+    """By hand: residuals of one, but for a window of 120 that overflows and ten that are far off:
+    its 120 and these ten count as 1e4 each, as chi2 of all measured components.
+    """
+    truth, windows = flight
+    windows = windows.scale_weights(np.ones_like(windows.weight))
+    residual = np.where(windows.weight > 0.0, 1.0, np.nan)  # where nothing was measured: no number
+    residual[3], residual[5].flat[:10] = np.inf, -1e7
+    measured_there = np.count_nonzero(windows.weight[3])
+    far = measured_there + np.count_nonzero(windows.weight[5].flat[:10])
+    found = score_residual(windows, np.zeros((len(windows), 12)), residual)
+    squares = windows.count - far + far * 1e8
+    assert found.chi2 == pytest.approx(squares / (windows.count - 12 * len(windows)))
+    assert np.isfinite([found.position_m, found.attitude_deg, *found.channels]).all()
+    assert found.diverged == 2
+    assert score(truth, windows).diverged == 0

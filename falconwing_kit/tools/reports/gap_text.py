@@ -15,7 +15,7 @@ from falconwing_kit.gap.close import ParameterEstimate
 from falconwing_kit.gap.measure import VARIABLES, ResidualBin
 from falconwing_kit.gap.name import EffectCandidate
 from falconwing_kit.gap.study import GapStudy
-from falconwing_kit.sysid.score import PredictionScore
+from falconwing_kit.sysid.score import DIVERGED_RESIDUAL, PredictionScore
 from falconwing_kit.sysid.shooting import Windows, pose_residuals
 from falconwing_kit.tools.reports.gap_plots import CHANNEL_WORDS, IN_PLOTS, NoiseFloor, gap_scores
 from falconwing_kit.tools.reports.gap_traces import TraceWindow
@@ -157,6 +157,11 @@ def before_after_text(study: GapStudy, floor: NoiseFloor) -> str:
         if closed.seen
         else f"All of this is on {closed.before.windows} windows of two seconds that no fit used."
     )
+    if lost := max(closed.before.diverged, closed.after.diverged):
+        time += (
+            f" In {lost} of them a prediction diverges; an error there counts as "
+            f"{DIVERGED_RESIDUAL:,.0f} standard deviations of the noise."
+        )
     if closed.after is closed.before:
         return f"Nothing was added to the model, so there is no after.{noise} {time}"
     return (

@@ -7,6 +7,7 @@ import numpy as np
 
 from falconwing_kit.core.checks import Array
 from falconwing_kit.gap.study import GapStudy
+from falconwing_kit.sysid.score import DIVERGED_RESIDUAL
 from falconwing_kit.sysid.shooting import select_windows
 from falconwing_kit.tools.reports.gap_plots import DPI, WIDTH_IN
 from falconwing_kit.tools.reports.page import ACCENT, PREDICTED, figure
@@ -73,7 +74,7 @@ def example_windows(study: GapStudy) -> dict[str, TraceWindow]:
 
 def _error(residual: Array, weight: Array) -> Array:
     """(W, L, 6) residuals in sigmas -> errors in m and rad, nan where missing or diverged."""
-    known = (weight > 0.0) & np.isfinite(residual)
+    known = (weight > 0.0) & (np.abs(residual) < DIVERGED_RESIDUAL)
     return np.divide(residual, weight, out=np.full_like(residual, np.nan), where=known)
 
 
