@@ -766,7 +766,7 @@ def fit_flight(base: NominalModel, prepared: PreparedTable) -> tuple[Windows, Fi
     robust = robust_weights(residual, unweighted, base.noise)
     weighted = unweighted.scale_weights(robust / base.noise.deviation(rows, interval))
     first = fit(model, weighted, initial_states, prior=base.prior, tolerance=1.0)
-    kept = np.flatnonzero(~has_diverged(first.residual))
+    kept = np.flatnonzero(np.logical_not(has_diverged(first.residual)))
     if (1.0 - MAX_DIVERGING) * len(unweighted) <= len(kept) < len(unweighted):
         unweighted, weighted = select_windows(unweighted, kept), select_windows(weighted, kept)
         states = first.initial_states[kept]
