@@ -14,6 +14,7 @@ import json
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
@@ -107,7 +108,7 @@ def cases(kind: str, seed: int, count: int | None, withheld: int) -> Iterator[Ca
         )
 
 
-def study(batch: list[Case]) -> list[dict[str, Any]]:
+def study(batch: list[Case], with_baselines: bool = True) -> list[dict[str, Any]]:
     """Fly cases of one aircraft, name each, close its gap, and only then look at the answer."""
     rows: list[dict[str, Any]] = []
     base, known_seconds = None, 0.0
@@ -147,7 +148,7 @@ def study(batch: list[Case]) -> list[dict[str, Any]]:
             row["withheld"] = answer(name_with_onset(base, flight, rest)[0], case.effect)
         if case.kind == "own":
             row["detectable"] = _detectable(base, flight, known)
-        if case.kind in BASELINED:
+        if with_baselines and case.kind in BASELINED:
             row["baselines"] = _baselines(base, flight)
         rows.append(row)
     return rows
@@ -351,13 +352,16 @@ def main() -> None:
     )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument(
+        "--without-baselines", action="store_true", help="no comparison with PySINDy and regression"
+    )
+    parser.add_argument(
         "--out", type=Path, required=True, help="JSON lines; gone on with where it exists"
     )
     asked = parser.parse_args()
-    if asked.kind in BASELINED and find_spec("pysindy") is None:
+    if not asked.without_baselines and asked.kind in BASELINED and find_spec("pysindy") is None:
         parser.error(
             "expected pysindy to compare with; "
-            "run: pip install -c constraints.txt -e '.[dev,bench]'"
+            "run: pip install -c constraints.txt -e '.[dev,bench]', or add --without-baselines"
         )
     done = (
         [json.loads(line) for line in asked.out.read_text().splitlines()]
@@ -370,7 +374,8 @@ def main() -> None:
     ]
     with asked.out.open("a") as file:
         batches = [list(cases) for _, cases in groupby(left, key=lambda c: c.seed)]
-        for batch, rows in parallel_map(study, batches, asked.workers):
+        fly = partial(study, with_baselines=not asked.without_baselines)
+        for batch, rows in parallel_map(fly, batches, asked.workers):
             if isinstance(rows, WorkerLostError):  # left for the next run
                 print(f"{batch[0].key}: {rows}", flush=True)
                 continue
