@@ -30,6 +30,9 @@ STEP_FRACTIONS = np.array([1.0, 0.3, 0.0])
 # Where that gains less than this share of the predicted reduction, steps in K with so many times
 # its damping are tried, for each of which the initial states are fitted.
 POOR_GAIN, REFIT_DAMPINGS = 0.5, (0.0, 1.0, 1e3, 1e6)
+# The part of a step by which the second derivative along it is taken, and the most that twice its
+# acceleration may be of it [Transtrum & Sethna 2012, whose value this is].
+PROBE, MAX_ACCELERATION = 0.1, 0.75
 START_FRACTIONS = np.array([1.0, 0.3, 0.1, 0.03, 0.01])  # of a first guess that diverges
 
 
@@ -319,13 +322,58 @@ def _smaller_start(problem: _Problem, here: _Point, names: Sequence[str]) -> Arr
     return np.asarray(trials[int(np.argmin(has_diverged(residual).sum(axis=1)))])
 
 
+def _geodesic_accelerations(
+    problem: _Problem, here: _Point, system: _ReducedSystem, k_steps: Array, dampings: Array
+) -> tuple[Array, Array]:
+    """Second-order corrections of steps in a curved valley: geodesic acceleration.
+
+    The residuals' second derivative along a step, by a difference, is answered by a step of its
+    own, and half of that is added [Transtrum & Sethna 2012]. One that is large against the step
+    itself belongs to no valley, and is zero.
+
+    Args:
+        k_steps: (T, F) steps in K; the initial states take their linearised ones.
+        dampings: (T,) of these steps.
+
+    Returns:
+        What to add to the steps (T, F) and to those of the initial states (T, W, n_states).
+    """
+    residual, J_K, J_x = _drop_diverged_windows(*here.linear)
+    Q, R, across, reduced = _split_by_initial_states(J_K, J_x)
+    state_steps = system.state_step + np.einsum("wnf,tf->twn", system.state_sensitivity, k_steps)
+    ahead = residual_sets(
+        problem.model, problem.windows, here.initial_states + PROBE * state_steps,
+        problem.parameters_after(here, PROBE * k_steps).T,
+    )  # fmt: skip
+    along = np.einsum("wrf,tf->twr", J_K, k_steps) + np.einsum("wrn,twn->twr", J_x, state_steps)
+    bend = 2.0 / PROBE * ((ahead - residual) / PROBE - along)  # (T, W, R)
+    finite = np.isfinite(bend).all(axis=2, keepdims=True)
+    bend = np.asarray(np.where(finite, bend, 0.0))
+    k_extra = np.zeros_like(k_steps)
+    for t, (step, damping) in enumerate(zip(k_steps, dampings, strict=True)):
+        gradient = np.einsum("wrf,wr->f", reduced, bend[t], optimize=True)
+        extra = 0.5 * problem.step(here, replace(system, gradient=gradient), float(damping))
+        if 2.0 * _norm(extra, system) <= MAX_ACCELERATION * _norm(step, system):
+            k_extra[t] = extra
+    inside = np.einsum("wrn,twr->twn", Q, bend) * 0.5 + np.einsum("wnf,tf->twn", across, k_extra)
+    x_extra = -np.linalg.solve(R[None], inside[..., None]).squeeze(-1)
+    x_extra[~np.asarray(k_extra.any(axis=1))] = 0.0
+    return k_extra, x_extra
+
+
+def _norm(step: Array, system: _ReducedSystem) -> float:
+    """Length of a step (F,) with Marquardt's scaling."""
+    return float(np.sqrt(np.sum(np.diag(system.normal) * step**2)))
+
+
 def _best_shorter_step(
     problem: _Problem, here: _Point, system: _ReducedSystem, damping: float
 ) -> tuple[_Point, float, bool]:
     """The best of the damped step and of some with more damping, all integrated together.
 
-    An initial state acts on its own window only, so each takes that fraction of its own step with
-    which its window fits best.
+    Each is tried straight and with geodesic acceleration, which follows a curved valley. An initial
+    state acts on its own window only, so each takes that fraction of its own step with which its
+    window fits best.
 
     Returns:
         Where it leads (`here` where none is better), its damping, and whether the damped step in
@@ -333,8 +381,11 @@ def _best_shorter_step(
     """
     dampings = [damping, *(max(30.0 * damping, LEAST_DAMPING) * DAMPINGS)]
     k_steps = np.stack([problem.step(here, system, d) for d in dampings])  # (T, F)
-    trials = problem.parameters_after(here, k_steps)
+    k_extra, x_extra = _geodesic_accelerations(problem, here, system, k_steps, np.array(dampings))
     optimal = here.initial_states + np.einsum("wnf,tf->twn", system.state_sensitivity, k_steps)
+    optimal = np.concatenate([optimal, optimal + x_extra])
+    trials = problem.parameters_after(here, np.concatenate([k_steps, k_steps + k_extra]))
+    dampings = 2 * dampings
     states = optimal[:, None] + STEP_FRACTIONS[:, None, None] * system.state_step  # (T, S, W, n)
     residual = residual_sets(
         problem.model, problem.windows, states.reshape(-1, *here.initial_states.shape),
@@ -474,6 +525,19 @@ def _drop_diverged_windows(
     )
 
 
+def _split_by_initial_states(
+    parameter_jacobian: Array, initial_state_jacobian: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Q and R of each window's derivative to its initial state, Q'J_K, and the rest of J_K.
+
+    The prior on the initial states keeps R regular; a state that overflowed leaves a zero there.
+    """
+    Q, R = _qr(initial_state_jacobian)
+    across = Q.transpose(0, 2, 1) @ parameter_jacobian  # (W, n, F)
+    R = R + 1e-12 * np.abs(R).max(axis=(1, 2), keepdims=True) * np.eye(R.shape[-1])
+    return Q, R, across, parameter_jacobian - Q @ across
+
+
 def _eliminate_initial_states(
     residual: Array, parameter_jacobian: Array, initial_state_jacobian: Array
 ) -> _ReducedSystem:
@@ -482,15 +546,12 @@ def _eliminate_initial_states(
     The part orthogonal to Q gives the Schur complement in K, the part along Q gives
     dx = -R^-1 (Q'r + Q'J_K dK).
     """
-    Q, R = _qr(initial_state_jacobian)
-    across = Q.transpose(0, 2, 1) @ parameter_jacobian  # (W, n, F)
-    reduced_jacobian = parameter_jacobian - Q @ across
+    Q, R, across, reduced_jacobian = _split_by_initial_states(
+        parameter_jacobian, initial_state_jacobian
+    )
     normal = np.einsum("wif,wig->fg", reduced_jacobian, reduced_jacobian, optimize=True)
     gradient = np.einsum("wif,wi->f", reduced_jacobian, residual, optimize=True)
     inside = np.einsum("win,wi->wn", Q, residual)  # its square is the reduction by dx alone
-
-    # The prior on the initial states keeps R regular; a state that overflowed leaves a zero there.
-    R = R + 1e-12 * np.abs(R).max(axis=(1, 2), keepdims=True) * np.eye(R.shape[-1])
     steps = -np.linalg.solve(R, np.concatenate([inside[..., None], across], axis=2))
     return _ReducedSystem(normal, gradient, steps[..., 0], steps[..., 1:], float(np.sum(inside**2)))
 

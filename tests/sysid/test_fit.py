@@ -361,27 +361,69 @@ def test_a_size_with_which_the_flight_diverges_begins_smaller(small):
 
 
 def test_a_shorter_step_is_the_best_of_all_that_are_tried(small):
-    """Every damping with every fraction of each window's own step, predicted one by one: the least
-    cost of a damping is the sum of each window's least.
+    """Every damping, straight and accelerated, with every fraction of each window's own step,
+    predicted one by one: the least cost of one is the sum of each window's least.
     """
     start, windows, initial_states = small
     far = start.with_values({name: 3.0 * start.values[name] for name in SMALL})
     problem = fit_module._Problem.of(far, windows, None)
     here = problem.point(far.vector, initial_states + 0.3)
     system = problem.linearise(here)
+    dampings = np.array([0.0, *(fit_module.LEAST_DAMPING * fit_module.DAMPINGS)])
+    straight = np.stack([problem.step(here, system, damping) for damping in dampings])
+    k_extra, x_extra = fit_module._geodesic_accelerations(problem, here, system, straight, dampings)
     costs = []
-    for damping in (0.0, *(fit_module.LEAST_DAMPING * fit_module.DAMPINGS)):
-        k_step = problem.step(here, system, damping)
-        moved = far.with_vector(problem.parameters_after(here, k_step))
-        each = []
-        for fraction in fit_module.STEP_FRACTIONS:
-            step = fraction * system.state_step + system.state_sensitivity @ k_step
-            with np.errstate(all="ignore"):
-                each.append(np.sum(residuals(moved, windows, here.initial_states + step) ** 2, 1))
-        costs.append(np.sum(np.nanmin(np.minimum(each, fit_module.DIVERGED_COST), axis=0)))
+    for accelerated in (False, True):
+        for k_step, k_more, x_more in zip(straight, k_extra, x_extra, strict=True):
+            moved = far.with_vector(problem.parameters_after(here, k_step + accelerated * k_more))
+            each = []
+            for fraction in fit_module.STEP_FRACTIONS:
+                step = fraction * system.state_step + system.state_sensitivity @ k_step
+                states = here.initial_states + step + accelerated * x_more
+                with np.errstate(all="ignore"):
+                    each.append(np.sum(residuals(moved, windows, states) ** 2, axis=1))
+            costs.append(np.sum(np.nanmin(np.minimum(each, fit_module.DIVERGED_COST), axis=0)))
     there, _, full_fails = fit_module._best_shorter_step(problem, here, system, 0.0)
     assert there.cost == pytest.approx(min(costs), rel=1e-9) and there.cost < here.cost
     assert full_fails and np.argmin(costs) > 0
+
+
+def test_acceleration_is_the_second_order_step(small):
+    """By dense algebra over parameters and all initial states at once: half of what answers the
+    second derivative of the residuals along the step, here by central differences
+    [Transtrum & Sethna 2012].
+    """
+    start, windows, initial_states = small
+    far = start.with_values({name: 1.05 * start.values[name] for name in SMALL})
+    problem = fit_module._Problem.of(far, windows, None)
+    here = problem.point(far.vector, initial_states + 0.01)
+    system = problem.linearise(here)
+    damping, n = 0.01, initial_states.shape[1]
+    k_step = problem.step(here, system, damping)
+    k_extra, x_extra = fit_module._geodesic_accelerations(
+        problem, here, system, k_step[None], np.array([damping])
+    )
+
+    _, J_K, J_x = here.linear
+    W, R, F = J_K.shape
+    J = np.zeros((W * R, F + W * n))
+    J[:, :F] = J_K.reshape(-1, F)
+    for w in range(W):
+        J[w * R : (w + 1) * R, F + w * n : F + (w + 1) * n] = J_x[w]
+    states = system.state_step + system.state_sensitivity @ k_step
+
+    def at(h):
+        moved = far.with_vector(problem.parameters_after(here, h * k_step))
+        return residuals(moved, windows, here.initial_states + h * states).ravel()
+
+    h = 0.02
+    bend = (at(h) - 2.0 * at(0.0) + at(-h)) / h**2
+    normal = J.T @ J
+    normal[range(F), range(F)] += damping * np.diag(system.normal)
+    half = -0.5 * np.linalg.solve(normal, J.T @ bend)
+    assert 0.005 < np.linalg.norm(half[:F]) / np.linalg.norm(k_step) < 0.3  # not refused
+    assert k_extra[0] == pytest.approx(half[:F], rel=0.05, abs=0.02 * np.abs(half[:F]).max())
+    assert x_extra[0].ravel() == pytest.approx(half[F:], abs=0.05 * np.abs(half[F:]).max())
 
 
 def test_a_step_with_fitted_states_is_the_longest_that_helps(small):
