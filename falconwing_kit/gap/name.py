@@ -32,6 +32,7 @@ from falconwing_kit.aircraft.effect import Effect
 from falconwing_kit.aircraft.effects import CATALOGUE
 from falconwing_kit.aircraft.generic import GENERIC_EFFECTS
 from falconwing_kit.aircraft.terms import Parameter
+from falconwing_kit.core.checks import Array
 from falconwing_kit.core.flight_table import FlightTable
 from falconwing_kit.gap.baseline import (
     GENERIC_EVIDENCE,
@@ -82,6 +83,9 @@ VISIBLE_SIGMAS = 3.0  # standard deviations of the flight's chi2 that a third ef
 # Squared Mahalanobis distance per parameter: three standard deviations each is another aircraft.
 MAX_MAHALANOBIS = 9.0
 MAX_DIVERGING = 0.1  # share of windows that may be left out since the nominal model diverges there
+# Share of windows that an unknown effect must outlast, and at the end of a flight the share that it
+# need not, since what begins there may go on.
+INCIDENTS = 0.1
 
 
 @dataclass(frozen=True)
@@ -124,12 +128,52 @@ def name_effect(
     Linear scan of all effects, full fits of the best, then the decision by BIC against a threshold
     that comes from the baseline flight.
 
+    An aircraft that stalls once, where its baseline flight never did, has not changed: where the
+    verdict is "outside", the flight is judged again without its worst windows (`_but_incidents`),
+    and that verdict holds unless it is "outside" again.
+
     Raises:
         InputError: the flight cannot be used.
     """
     prepared = prepare(flight, base.found.sigma)
     progress("flight under test")
     windows, before = fit_flight(base, prepared)
+    naming = _name(base, windows, before, prepared, catalogue, progress)
+    kept = _but_incidents(before)
+    if naming.verdict == "outside" and len(kept) < len(windows):
+        rest = select_windows(windows, kept)
+        known = fit(
+            before.model, rest, before.initial_states[kept], prior=base.prior, tolerance=1.0
+        )
+        again = _name(
+            base, *_update_weights(base, rest, known, known), prepared, catalogue, progress
+        )
+        if again.verdict != "outside":
+            return again
+    return naming
+
+
+def _but_incidents(before: FitResult) -> Array:
+    """Indices of the windows but for the worst, by the nominal model, of all but the last ones.
+
+    Trimmed least squares [Rousseeuw & Leroy 1987]: a share of INCIDENTS is left out, and none of
+    the last such share of the flight.
+    """
+    cost = np.nan_to_num(np.sum(before.residual**2, axis=1), nan=np.inf)
+    share = round(INCIDENTS * len(cost))
+    worst = np.argsort(-cost[: len(cost) - share])[:share]
+    return np.setdiff1d(np.arange(len(cost)), worst)
+
+
+def _name(
+    base: NominalModel,
+    windows: Windows,
+    before: FitResult,
+    prepared: PreparedTable,
+    catalogue: Sequence[Effect],
+    progress: Progress,
+) -> Naming:
+    """The verdict on some windows, with the nominal model fitted to them."""
     ranking = _rank(base, windows, before, catalogue, progress, tolerance=COARSE_TOLERANCE)
     best = ranking[0].result
     if best is not None and ranking[0].delta_bic > 0.5 * VERY_STRONG_EVIDENCE:

@@ -569,3 +569,24 @@ def test_a_few_windows_in_which_the_model_diverges_are_left_out(lost, left_out):
     windows, result = name_module.fit_flight(base, spoilt)
     assert len(whole) - len(windows) == left_out
     assert np.isfinite(result.residual).all() == (left_out > 0)
+
+
+@pytest.mark.parametrize(("begins", "verdict"), [(20.0, "none"), (42.0, "outside")])
+def test_an_incident_is_no_change_of_the_aircraft(begins, verdict):
+    """Own aircraft as on the calm day, 45 s, which sinks by 1.5 m and comes back within 2 s, once:
+    nothing is hidden; but what begins as the flight ends may go on.
+    """
+    flight = own_flight(None, 45.0, 48)
+    phase = np.clip((flight.t - flight.t[0] - begins) / 2.0, 0.0, 1.0)
+    p_world = flight.p_world.copy()
+    p_world[:, 2] -= 0.75 * (1.0 - np.cos(2.0 * np.pi * phase))
+    naming = name_effect(own_base(), replace(flight, p_world=p_world))
+    assert (naming.verdict, naming.chosen) == (verdict, ())
+
+
+def test_the_worst_windows_are_left_out_but_for_the_last():
+    """Of 20 windows two may be left out; the last two, whatever their cost, are not."""
+    cost = np.ones(20)
+    cost[[3, 7, 11, 18, 19]] = 5.0, np.nan, 4.0, 9.0, 9.0
+    before = SimpleNamespace(residual=np.sqrt(cost)[:, None])
+    assert name_module._but_incidents(before).tolist() == [k for k in range(20) if k not in (3, 7)]
