@@ -83,8 +83,8 @@ VISIBLE_SIGMAS = 3.0  # standard deviations of the flight's chi2 that a third ef
 # Squared Mahalanobis distance per parameter: three standard deviations each is another aircraft.
 MAX_MAHALANOBIS = 9.0
 MAX_DIVERGING = 0.1  # share of windows that may be left out since the nominal model diverges there
-# Share of windows that an unknown effect must outlast, and at the end of a flight the share that it
-# need not, since what begins there may go on.
+# Share of windows, the worst, without which an unknown effect must still be seen; none of them from
+# the last such share of the flight, since what begins there may go on.
 INCIDENTS = 0.1
 
 

@@ -299,9 +299,10 @@ def _warnings(study: GapStudy) -> list[str]:
     said += [f"flight: {w}" for w in study.naming.prepared.warnings]
     said += study.faults
     if lost := _windows_left_out(study.base, study.naming):
+        times = ", ".join(f"{begin:.1f} to {end:.1f} s" for begin, end in lost)
         said.append(
-            f"in {lost} of {lost + len(study.naming.windows)} windows the calm flight's model "
-            "diverges; they are left out"
+            f"judged without {len(lost)} of {len(lost) + len(study.naming.windows)} windows, in "
+            f"which the calm flight's model diverges or fails as nowhere else: {times}"
         )
     if added := added_effects(study.base):
         said.append(
@@ -317,10 +318,18 @@ def _warnings(study: GapStudy) -> list[str]:
     return said
 
 
-def _windows_left_out(base: NominalModel, naming: Naming) -> int:
-    """How many windows of the flight are left out since the nominal model diverges in them."""
+def _windows_left_out(base: NominalModel, naming: Naming) -> list[tuple[float, float]]:
+    """Windows left out since the nominal model fails there: begin and end by the flight's clock."""
     whole = cut_windows(naming.prepared.flights, base.result.model, base.window_s)
-    return len(whole) - len(naming.windows)
+    kept = set(zip(naming.windows.flight, naming.windows.nodes[:, 0], strict=True))
+    return [
+        (
+            float(whole.flights[flight].t[0] + nodes[0]),
+            float(whole.flights[flight].t[0] + nodes[-1]),
+        )
+        for flight, nodes in zip(whole.flight, whole.nodes, strict=True)
+        if (flight, nodes[0]) not in kept
+    ]
 
 
 def added_effects(base: NominalModel) -> tuple[str, ...]:

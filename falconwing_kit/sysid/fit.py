@@ -383,7 +383,7 @@ def _best_shorter_step(
     k_steps = np.stack([problem.step(here, system, d) for d in dampings])  # (T, F)
     k_extra, x_extra = _geodesic_accelerations(problem, here, system, k_steps, np.array(dampings))
     optimal = here.initial_states + np.einsum("wnf,tf->twn", system.state_sensitivity, k_steps)
-    optimal = np.concatenate([optimal, optimal + x_extra])
+    optimal = np.concatenate([optimal, optimal + x_extra])  # all straight, then all accelerated
     trials = problem.parameters_after(here, np.concatenate([k_steps, k_steps + k_extra]))
     dampings = 2 * dampings
     states = optimal[:, None] + STEP_FRACTIONS[:, None, None] * system.state_step  # (T, S, W, n)
