@@ -588,9 +588,14 @@ def headline(naming: Naming) -> str:
     return {
         "named": f"Missing: {_join_names(names, 'and')}",
         "ambiguous": f"Missing: {_join_names(names, 'or')}; this flight does not separate them",
-        "none": "Nothing is missing that this flight could show",
+        "none": f"Nothing is missing that this flight could show{_but_incidents(naming)}",
         "outside": "Something is missing, and it is not in the catalogue",
     }[naming.verdict]
+
+
+def _but_incidents(naming: Naming) -> str:
+    times = _join_names([f"{begin:.1f} to {end:.1f} s" for begin, end in naming.incidents], "and")
+    return f", but for incidents (such as a stall) at {times}" if times else ""
 
 
 def _discrimination_text(effects: Sequence[Effect], best: Advice) -> str:

@@ -27,7 +27,7 @@ from falconwing_kit.gap.evidence import (
     sensitivities,
 )
 from falconwing_kit.gap.linear_response import linear_response
-from falconwing_kit.gap.name import EffectCandidate, Naming, name_effect
+from falconwing_kit.gap.name import EffectCandidate, Naming, name_effect, without_incidents
 from falconwing_kit.sysid.fit import FitResult, fit, prior_rows
 from falconwing_kit.sysid.score import BLOCK_S, PredictionScore, score, split_blocks
 from falconwing_kit.sysid.shooting import Windows, finite_differences, select_windows
@@ -204,7 +204,8 @@ def name_with_onset(
 
     An effect in part of a flight is diluted over the whole, and the parameters absorb some of it.
     So where an effect with an onset explains the flight far better than any effect does all along,
-    the flight after that time is named again, with all effects.
+    the flight after that time is named again, with all effects. Where there is none, incidents such
+    as one stall are no unknown effect (`without_incidents`).
 
     Returns:
         The verdict, and the onset; None where the effect acts all along or that is not clear.
@@ -215,6 +216,18 @@ def name_with_onset(
     naming = name_effect(base, flight, catalogue, progress)
     if naming.verdict == "none":
         return naming, None
+    since = _name_since_onset(base, flight, naming, catalogue, progress)
+    return since or (without_incidents(base, naming, catalogue, progress), None)
+
+
+def _name_since_onset(
+    base: NominalModel,
+    flight: FlightTable,
+    naming: Naming,
+    catalogue: Sequence[Effect],
+    progress: Progress,
+) -> tuple[Naming, Onset | None] | None:
+    """The naming of the time since an effect's onset, and that; None where none is clear."""
     progress("since when")
     tried = _onset_candidates(base, naming)
     onset = find_onset(base, naming.windows, naming.before, tried)
@@ -229,13 +242,13 @@ def name_with_onset(
         generic.delta_chi2 - bic_penalty(generic.effect, naming.windows),
     )
     if onset is None or onset.delta_bic < explained + naming.threshold:
-        return naming, None
+        return None
     later = _time_in_effect(flight, onset)
     if later.duration < MIN_AFTER_ONSET_S:
-        return naming, None
+        return None
     again = name_effect(base, later, catalogue, progress)
     if again.verdict not in ("named", "ambiguous"):
-        return naming, None
+        return None
     if again.chosen[0].effect.name != onset.effect.name:
         onset = find_onset(base, naming.windows, naming.before, again.chosen[:1])
         if onset is not None:

@@ -83,9 +83,10 @@ VISIBLE_SIGMAS = 3.0  # standard deviations of the flight's chi2 that a third ef
 # Squared Mahalanobis distance per parameter: three standard deviations each is another aircraft.
 MAX_MAHALANOBIS = 9.0
 MAX_DIVERGING = 0.1  # share of windows that may be left out since the nominal model diverges there
-# Share of windows, the worst, without which an unknown effect must still be seen; none of them from
-# the last such share of the flight, since what begins there may go on.
-INCIDENTS = 0.1
+# Incidents: windows whose chi2 exceeds the baseline's mean by so many times what any window of the
+# baseline does; at most so many runs of them and such a share of the flight, and none in the last
+# such share, since what begins there may go on; they hold more than this share of the excess.
+INCIDENT_FACTOR, MAX_INCIDENTS, INCIDENT_SHARE, INCIDENT_EXCESS = 2.0, 2, 0.1, 0.5
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,8 @@ class Naming:
     before: FitResult  # the nominal model fitted to the flight under its prior
     windows: Windows
     prepared: PreparedTable
+    # Begin and end [s], by the flight's clock, of windows that the verdict is without
+    incidents: tuple[tuple[float, float], ...] = ()
 
 
 def name_effect(
@@ -128,44 +131,16 @@ def name_effect(
     Linear scan of all effects, full fits of the best, then the decision by BIC against a threshold
     that comes from the baseline flight.
 
-    An aircraft that stalls once, where its baseline flight never did, has not changed: where the
-    verdict is "outside", the flight is judged again without its worst windows (`_but_incidents`),
-    and that verdict holds unless it is "outside" again.
-
     Raises:
         InputError: the flight cannot be used.
     """
     prepared = prepare(flight, base.found.sigma)
     progress("flight under test")
     windows, before = fit_flight(base, prepared)
-    naming = _name(base, windows, before, prepared, catalogue, progress)
-    kept = _but_incidents(before)
-    if naming.verdict == "outside" and len(kept) < len(windows):
-        rest = select_windows(windows, kept)
-        known = fit(
-            before.model, rest, before.initial_states[kept], prior=base.prior, tolerance=1.0
-        )
-        again = _name(
-            base, *_update_weights(base, rest, known, known), prepared, catalogue, progress
-        )
-        if again.verdict != "outside":
-            return again
-    return naming
+    return _name_in_windows(base, windows, before, prepared, catalogue, progress)
 
 
-def _but_incidents(before: FitResult) -> Array:
-    """Indices of the windows but for the worst, by the nominal model, of all but the last ones.
-
-    Trimmed least squares [Rousseeuw & Leroy 1987]: a share of INCIDENTS is left out, and none of
-    the last such share of the flight.
-    """
-    cost = np.nan_to_num(np.sum(before.residual**2, axis=1), nan=np.inf)
-    share = round(INCIDENTS * len(cost))
-    worst = np.argsort(-cost[: len(cost) - share])[:share]
-    return np.setdiff1d(np.arange(len(cost)), worst)
-
-
-def _name(
+def _name_in_windows(
     base: NominalModel,
     windows: Windows,
     before: FitResult,
@@ -173,7 +148,7 @@ def _name(
     catalogue: Sequence[Effect],
     progress: Progress,
 ) -> Naming:
-    """The verdict on some windows, with the nominal model fitted to them."""
+    """The naming by some windows of a flight, with the nominal model fitted to them."""
     ranking = _rank(base, windows, before, catalogue, progress, tolerance=COARSE_TOLERANCE)
     best = ranking[0].result
     if best is not None and ranking[0].delta_bic > 0.5 * VERY_STRONG_EVIDENCE:
@@ -182,6 +157,59 @@ def _name(
         windows, before = _update_weights(base, windows, before, best)
         ranking = _rank(base, windows, before, catalogue, progress, ranking)
     return _decide(base, windows, before, ranking, prepared, catalogue, progress)
+
+
+def without_incidents(
+    base: NominalModel,
+    naming: Naming,
+    catalogue: Sequence[Effect] = CATALOGUE,
+    progress: Progress = lambda stage: None,
+) -> Naming:
+    """The naming, or "none" where but for one or two incidents a flight is like its baseline.
+
+    An aircraft that stalls once, where its baseline flight never did, shows no unknown effect. So a
+    flight whose verdict is "outside" is judged again without the windows in which the nominal model
+    fails as never in the baseline flight, if these are few, over before the flight ends, and hold
+    most of the excess. Any other verdict than "none" then leaves the first as it was.
+
+    Returns:
+        The same, or with the verdict "none" and the `incidents`.
+    """
+    windows, before = naming.windows, naming.before
+    apart = _incidents(base, windows, before) if naming.verdict == "outside" else np.empty(0, int)
+    if not len(apart):
+        return naming
+    progress("without incidents")
+    kept = np.setdiff1d(np.arange(len(windows)), apart)
+    rest, states = select_windows(windows, kept), before.initial_states[kept]
+    nominal = fit(before.model, rest, states, prior=base.prior, tolerance=1.0)
+    rest, nominal = _update_weights(base, rest, nominal, nominal)
+    again = _name_in_windows(base, rest, nominal, naming.prepared, catalogue, progress)
+    if again.verdict != "none":
+        return naming
+    clock = [naming.prepared.flights[k].t[0] for k in windows.flight[apart]]
+    times = windows.nodes[apart][:, [0, -1]] + np.array(clock)[:, None]
+    return replace(naming, verdict="none", incidents=tuple(map(tuple, times.tolist())))
+
+
+def _incidents(base: NominalModel, windows: Windows, before: FitResult) -> np.ndarray:
+    """Indices of the windows that are incidents, as of the INCIDENT constants; empty for none."""
+    of_baseline = _window_chi2(base.windows, base.result)
+    level = of_baseline.mean()
+    excess = _window_chi2(windows, before) - level
+    apart = np.flatnonzero(excess > INCIDENT_FACTOR * (of_baseline.max() - level))
+    few = INCIDENT_SHARE * len(excess)
+    runs = 1 + np.count_nonzero((np.diff(apart) > 1) | np.diff(windows.flight[apart]).astype(bool))
+    if not 0 < len(apart) <= few or runs > MAX_INCIDENTS or apart[-1] >= len(excess) - few:
+        return np.empty(0, int)
+    holds = np.sum(excess[apart]) > INCIDENT_EXCESS * np.sum(excess)
+    return apart if holds else np.empty(0, int)
+
+
+def _window_chi2(windows: Windows, result: FitResult) -> Array:
+    """(W,) Chi2 of each window per measured pose component."""
+    measured = np.count_nonzero(windows.weight, axis=(1, 2))
+    return np.asarray(np.sum(result.residual**2, axis=1) / np.maximum(measured, 1))
 
 
 def _set_aside(

@@ -301,8 +301,14 @@ def _warnings(study: GapStudy) -> list[str]:
     if lost := _windows_left_out(study.base, study.naming):
         times = ", ".join(f"{begin:.1f} to {end:.1f} s" for begin, end in lost)
         said.append(
-            f"judged without {len(lost)} of {len(lost) + len(study.naming.windows)} windows, in "
-            f"which the calm flight's model diverges or fails as nowhere else: {times}"
+            f"in {len(lost)} of {len(lost) + len(study.naming.windows)} windows the calm flight's "
+            f"model diverges; they are left out: {times}"
+        )
+    if incidents := study.naming.incidents:
+        times = ", ".join(f"{begin:.1f} to {end:.1f} s" for begin, end in incidents)
+        said.append(
+            "the calm flight's model fails as never in the calm flight, in few seconds that are "
+            f"over, and well in all others: an incident such as a stall at {times}"
         )
     if added := added_effects(study.base):
         said.append(
@@ -319,7 +325,7 @@ def _warnings(study: GapStudy) -> list[str]:
 
 
 def _windows_left_out(base: NominalModel, naming: Naming) -> list[tuple[float, float]]:
-    """Windows left out since the nominal model fails there: begin and end by the flight's clock."""
+    """Windows left out since the nominal model diverges: begin and end by the flight's clock."""
     whole = cut_windows(naming.prepared.flights, base.result.model, base.window_s)
     kept = set(zip(naming.windows.flight, naming.windows.nodes[:, 0], strict=True))
     return [

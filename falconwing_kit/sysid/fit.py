@@ -30,8 +30,8 @@ STEP_FRACTIONS = np.array([1.0, 0.3, 0.0])
 # Where that gains less than this share of the predicted reduction, steps in K with so many times
 # its damping are tried, for each of which the initial states are fitted.
 POOR_GAIN, REFIT_DAMPINGS = 0.5, (0.0, 1.0, 1e3, 1e6)
-# The part of a step by which the second derivative along it is taken, and the most that twice its
-# acceleration may be of it [Transtrum & Sethna 2012, whose value this is].
+# The part of a step by which the second derivative along it is taken, and the largest ratio of
+# acceleration to step [Transtrum & Sethna 2012, whose value this is].
 PROBE, MAX_ACCELERATION = 0.1, 0.75
 START_FRACTIONS = np.array([1.0, 0.3, 0.1, 0.03, 0.01])  # of a first guess that diverges
 
@@ -329,7 +329,7 @@ def _geodesic_accelerations(
 
     The residuals' second derivative along a step, by a difference, is answered by a step of its
     own, and half of that is added [Transtrum & Sethna 2012]. One that is large against the step
-    itself belongs to no valley, and is zero.
+    itself is refused, and zero.
 
     Args:
         k_steps: (T, F) steps in K; the initial states take their linearised ones.
@@ -347,8 +347,8 @@ def _geodesic_accelerations(
     )  # fmt: skip
     along = np.einsum("wrf,tf->twr", J_K, k_steps) + np.einsum("wrn,twn->twr", J_x, state_steps)
     bend = 2.0 / PROBE * ((ahead - residual) / PROBE - along)  # (T, W, R)
-    finite = np.isfinite(bend).all(axis=2, keepdims=True)
-    bend = np.asarray(np.where(finite, bend, 0.0))
+    usable = np.isfinite(bend).all(axis=2) & J_K.any(axis=(1, 2))  # not those that were dropped
+    bend = np.asarray(np.where(usable[..., None], bend, 0.0))
     k_extra = np.zeros_like(k_steps)
     for t, (step, damping) in enumerate(zip(k_steps, dampings, strict=True)):
         gradient = np.einsum("wrf,wr->f", reduced, bend[t], optimize=True)
@@ -383,9 +383,10 @@ def _best_shorter_step(
     k_steps = np.stack([problem.step(here, system, d) for d in dampings])  # (T, F)
     k_extra, x_extra = _geodesic_accelerations(problem, here, system, k_steps, np.array(dampings))
     optimal = here.initial_states + np.einsum("wnf,tf->twn", system.state_sensitivity, k_steps)
-    optimal = np.concatenate([optimal, optimal + x_extra])  # all straight, then all accelerated
-    trials = problem.parameters_after(here, np.concatenate([k_steps, k_steps + k_extra]))
-    dampings = 2 * dampings
+    bent = np.flatnonzero(k_extra.any(axis=1))  # steps whose acceleration is taken
+    optimal = np.concatenate([optimal, (optimal + x_extra)[bent]])
+    trials = problem.parameters_after(here, np.concatenate([k_steps, (k_steps + k_extra)[bent]]))
+    dampings = [*dampings, *(dampings[t] for t in bent)]
     states = optimal[:, None] + STEP_FRACTIONS[:, None, None] * system.state_step  # (T, S, W, n)
     residual = residual_sets(
         problem.model, problem.windows, states.reshape(-1, *here.initial_states.shape),

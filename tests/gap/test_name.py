@@ -572,8 +572,8 @@ def test_a_few_windows_in_which_the_model_diverges_are_left_out(lost, left_out):
 
 
 @pytest.mark.parametrize(("begins", "verdict"), [(20.0, "none"), (42.0, "outside")])
-def test_an_incident_is_no_change_of_the_aircraft(begins, verdict):
-    """Own aircraft as on the calm day, 45 s, which sinks by 1.5 m and comes back within 2 s, once:
+def test_an_incident_is_no_unknown_effect(begins, verdict):
+    """Own aircraft as on the calm day, 45 s, which once sinks by 1.5 m and comes back within 2 s:
     nothing is hidden; but what begins as the flight ends may go on.
     """
     flight = own_flight(None, 45.0, 48)
@@ -581,12 +581,38 @@ def test_an_incident_is_no_change_of_the_aircraft(begins, verdict):
     p_world = flight.p_world.copy()
     p_world[:, 2] -= 0.75 * (1.0 - np.cos(2.0 * np.pi * phase))
     naming = name_effect(own_base(), replace(flight, p_world=p_world))
-    assert (naming.verdict, naming.chosen) == (verdict, ())
+    assert naming.verdict == "outside"
+    judged = name_module.without_incidents(own_base(), naming)
+    assert (judged.verdict, judged.chosen) == (verdict, ())
+    assert bool(judged.incidents) == (verdict == "none")
+    for begin, end in judged.incidents:
+        assert begin < begins + 2.0 + flight.t[0] and end > begins + flight.t[0]
 
 
-def test_the_worst_windows_are_left_out_but_for_the_last():
-    """Of 20 windows two may be left out; the last two, whatever their cost, are not."""
-    cost = np.ones(20)
-    cost[[3, 7, 11, 18, 19]] = 5.0, np.nan, 4.0, 9.0, 9.0
-    before = SimpleNamespace(residual=np.sqrt(cost)[:, None])
-    assert name_module._but_incidents(before).tolist() == [k for k in range(20) if k not in (3, 7)]
+@pytest.mark.parametrize(
+    ("apart", "others", "are_incidents"),
+    [
+        ([], 1.0, False),
+        ([5], 1.0, True),
+        ([5, 6, 9], 1.0, True),
+        ([5, 7, 9], 1.0, False),  # three runs
+        ([5, 6, 7, 8], 1.0, False),  # more than a tenth
+        ([27], 1.0, False),  # in the last tenth
+        ([5], 1.15, False),  # 2 of 2 + 29 * 0.15: less than half of the excess
+    ],
+)
+def test_incidents_are_few_soon_over_and_most_of_the_excess(apart, others, are_incidents):
+    """30 windows of one number each, with a chi2 of 3 in some; a baseline of 1, and 1.1 once."""
+
+    def flight(chi2):
+        windows = SimpleNamespace(weight=np.ones((len(chi2), 1, 1)), flight=np.zeros(len(chi2)))
+        return windows, SimpleNamespace(residual=np.sqrt(chi2)[:, None])
+
+    calm = np.ones(30)
+    calm[3] = 1.1
+    chi2 = np.full(30, others)
+    chi2[apart] = 3.0
+    windows, result = flight(calm)
+    base = SimpleNamespace(windows=windows, result=result)
+    found = name_module._incidents(base, *flight(chi2))
+    assert found.tolist() == (apart if are_incidents else [])

@@ -360,14 +360,16 @@ def test_a_size_with_which_the_flight_diverges_begins_smaller(small):
     assert found.cost == pytest.approx(near.cost, rel=1e-6)
 
 
-def test_a_shorter_step_is_the_best_of_all_that_are_tried(small):
+@pytest.mark.parametrize(("times", "offset", "is_bent"), [(3.0, 0.3, False), (1.3, 0.0, True)])
+def test_a_shorter_step_is_the_best_of_all_that_are_tried(small, times, offset, is_bent):
     """Every damping, straight and accelerated, with every fraction of each window's own step,
-    predicted one by one: the least cost of one is the sum of each window's least.
+    predicted one by one: the least cost of one is the sum of each window's least. Far away the
+    acceleration is refused; nearer, in the valley, an accelerated step is the best.
     """
     start, windows, initial_states = small
-    far = start.with_values({name: 3.0 * start.values[name] for name in SMALL})
+    far = start.with_values({name: times * start.values[name] for name in SMALL})
     problem = fit_module._Problem.of(far, windows, None)
-    here = problem.point(far.vector, initial_states + 0.3)
+    here = problem.point(far.vector, initial_states + offset)
     system = problem.linearise(here)
     dampings = np.array([0.0, *(fit_module.LEAST_DAMPING * fit_module.DAMPINGS)])
     straight = np.stack([problem.step(here, system, damping) for damping in dampings])
@@ -385,7 +387,8 @@ def test_a_shorter_step_is_the_best_of_all_that_are_tried(small):
             costs.append(np.sum(np.nanmin(np.minimum(each, fit_module.DIVERGED_COST), axis=0)))
     there, _, full_fails = fit_module._best_shorter_step(problem, here, system, 0.0)
     assert there.cost == pytest.approx(min(costs), rel=1e-9) and there.cost < here.cost
-    assert full_fails and np.argmin(costs) > 0
+    assert np.argmin(costs) > 0 and full_fails != is_bent
+    assert (np.argmin(costs) >= len(dampings)) == is_bent == k_extra.any()
 
 
 def test_acceleration_is_the_second_order_step(small):
