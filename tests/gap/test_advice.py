@@ -4,6 +4,7 @@ would have.
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from falconwing_kit.gap.advice import (
     DIAGNOSIS_MANOEUVRES,
     Advice,
     advise,
+    headline,
     manoeuvre_windows,
     next_flight,
     noncentrality,
@@ -322,3 +324,15 @@ def test_a_value_beyond_its_bounds_is_brought_back():
     ]
     assert sentences[0] == sentences[1]
     assert "30 s narrow" in sentences[0]
+
+
+def test_the_headline_says_when_incidents_were():
+    """Nothing missing, but for what a stall did twice."""
+    naming = SimpleNamespace(verdict="none", chosen=(), incidents=((4.5, 6.5), (20.9, 22.9)))
+    assert headline(naming) == (
+        "Nothing is missing that this flight could show, but for incidents (such as a stall) at "
+        "4.5 to 6.5 s and 20.9 to 22.9 s"
+    )
+    assert headline(SimpleNamespace(verdict="none", chosen=(), incidents=())) == (
+        "Nothing is missing that this flight could show"
+    )
