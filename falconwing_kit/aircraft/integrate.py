@@ -288,7 +288,10 @@ def fly(model: Model, start: Array, t: Array, commands: Array, backend: str = "b
     return roll_out(model, start, mean, dt / substeps, backend, slope)[::substeps]
 
 
-def advance(model: Model, t: float, t_end: float, x: Array, times: Array, commands: Array) -> Array:
+def advance(
+    model: Model, t: float, t_end: float, x: Array, times: Array, commands: Array,
+    effectiveness: Array | None = None, level: Array | None = None,
+) -> Array:  # fmt: skip
     """Fly one or many aircraft from t to t_end through one list of commands, with the input map.
 
     Args:
@@ -299,6 +302,9 @@ def advance(model: Model, t: float, t_end: float, x: Array, times: Array, comman
         times: (N,) when each command arrives at the aircraft, before delay and lag of the model
             itself [s], not decreasing; the first command also acts before its time.
         commands: (N, 4) in the order of COMMAND_NAMES.
+        effectiveness: (4, ...) e of each aircraft's controls: positions c act as level + e (c -
+            level); None for one.
+        level: (4,) such positions that e changes nothing; needed with `effectiveness`.
 
     Returns:
         (n_states, ...) states at t_end.
@@ -316,7 +322,10 @@ def advance(model: Model, t: float, t_end: float, x: Array, times: Array, comman
     mean, slope = model.actuator_positions(times[recent:], commands[recent:], edges, K)
     columns = (4, *(1,) * (x.ndim - 1))
     for k in range(before, before + steps):
-        x = step_batch(
-            rates, K, edges[k], x, mean[k].reshape(columns), dt, slope[k].reshape(columns)
-        )
+        position, half_change = mean[k].reshape(columns), slope[k].reshape(columns)
+        if effectiveness is not None and level is not None:
+            still = level.reshape(columns)
+            position = still + effectiveness * (position - still)
+            half_change = effectiveness * half_change
+        x = step_batch(rates, K, edges[k], x, position, dt, half_change)
     return x

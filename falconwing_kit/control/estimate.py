@@ -58,6 +58,8 @@ class Observer:
     [Astrom & Murray, Feedback Systems, sec. 8.2-8.4: observers and Kalman filtering]
     """
 
+    effectiveness = np.ones(4)  # of the controls: as in the model
+
     def __init__(self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S) -> None:
         """Design the gain in still air; InputError where the model cannot be trimmed."""
         gain = _kalman_gain(*model_key(design_model(model)), speed)

@@ -71,6 +71,10 @@ class LeaderTrajectory(Protocol):
 class StateObserver(Protocol):
     """Source of an expert's state: `Observer`, or one that reads something else."""
 
+    @property
+    def effectiveness(self) -> Array:
+        """(4,) Of the aircraft's controls in shares of the model's, around level flight."""
+
     def estimate(self, observation: Observation) -> State | None:
         """The estimated state, finite; None where there is none."""
 
@@ -92,10 +96,19 @@ class EstimatingAutopilot:
     def track(
         self, state: State, reference: Reference, observation: Observation, idle: bool = False
     ) -> Command:
-        """The autopilot's command towards a reference."""
-        return self._autopilot.command(
-            state, reference, observation.past_commands, idle, observation.t
-        )
+        """The autopilot's command towards a reference.
+
+        Where the aircraft's controls are e times as effective as the model's, a command that is
+        level + (u - level) / e acts on it as u would on the model.
+        """
+        past, e = observation.past_commands, self._observer.effectiveness
+        if np.all(e == 1.0):
+            return self._autopilot.command(state, reference, past, idle, observation.t)
+        level = self.level().vector
+        sent = np.any(past, axis=1, keepdims=True)  # rows of zeros were never sent
+        past = np.where(sent, level + e * (past - level), past)
+        command = self._autopilot.command(state, reference, past, idle, observation.t).vector
+        return Command.clip(*(level + (command - level) / e))
 
     def reference(
         self, path: ReferencePath, s: float, airspeed: float, state: State, t: float

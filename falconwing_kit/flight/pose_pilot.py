@@ -68,12 +68,13 @@ class CameraObserver:
             delay: from a command to its arrival at the aircraft [s].
             settings: of the filter.
         """
-        steady = State.from_vector(trim(design_model(model), speed).state)
+        level = trim(design_model(model), speed)
+        steady = State.from_vector(level.state)
         v_body = rotation_world_body(0.0, steady.pitch, steady.yaw).T @ steady.v_world
         self._camera, self._net = camera, net
 
         def make() -> tuple[AircraftProcess, OnlineFilter]:
-            process = AircraftProcess(model, delay)
+            process = AircraftProcess(model, delay, level.command)
             return process, OnlineFilter(process, v_body, p_body_camera, settings)
 
         self._make = make
@@ -85,6 +86,7 @@ class CameraObserver:
         self._process, self._filter = self._make()
         self.note = "no image"  # why no pose was fused in this step; "" if one was
         self.state: State | None = None  # the newest estimate
+        self.effectiveness = np.ones(4)  # of the controls, in shares of the model's
         self._fused_at = t  # time of the step that last fused a pose, or of the first [s]
         self._last: Image | None = None  # the newest image that was looked at
 
@@ -104,7 +106,9 @@ class CameraObserver:
             self._fused_at = t
         estimate = self._filter.estimate(t)
         lost = self.is_lost or estimate is None
-        self.state = None if lost or estimate is None else State.from_vector(estimate.x)
+        self.state = None if lost or estimate is None else State.from_vector(estimate.x[:12])
+        if estimate is not None:
+            self.effectiveness[1:] = np.exp(estimate.x[12:])
         return self.state
 
     @property

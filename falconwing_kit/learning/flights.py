@@ -51,6 +51,8 @@ class Snapshot:
 class TrueState:
     """An observer that takes the observation's state as it is: here the true one."""
 
+    effectiveness = np.ones(4)  # the model is the aircraft's
+
     def estimate(self, observation: Observation) -> State | None:
         """The true state."""
         return observation.state

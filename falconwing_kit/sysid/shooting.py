@@ -266,7 +266,8 @@ def jacobian(
 
     Returns:
         residual (W, R) as of `residuals`; derivative by the free parameters (W, R, F), per unit of
-        each; derivative by the window's own initial state (W, R, n_states).
+        each, zero in windows where a flight with a changed parameter diverges: they show nothing
+        about the parameters; derivative by the window's own initial state (W, R, n_states).
     """
     mapped = model.actuator_parameter_names
     steps = np.array(
@@ -292,9 +293,11 @@ def jacobian(
         1.0 / INITIAL_STATE_SIGMA[:n_states]
     )
     derivative = np.concatenate([derivative, of_prior], axis=1)  # (W, R, F + n_states)
+    of_parameters = derivative[..., :n_free]
+    of_parameters[~np.isfinite(of_parameters).all(axis=(1, 2))] = 0.0
     return (
         np.concatenate([at_base, _initial_state_residuals(windows, initial_states)], axis=1),
-        derivative[..., :n_free],
+        of_parameters,
         derivative[..., n_free:],
     )
 

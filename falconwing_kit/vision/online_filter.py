@@ -8,8 +8,10 @@ State Estimation, sec. 13.2] whose process is the aircraft's model flown on the 
     update    y = z - h(x),   S = H P H^T + R,   K = P H^T S^-1
               x = x + K y,    P = (I - K H) P (I - K H)^T + K R K^T       [Joseph's form]
 
-x is in the order of STATE_NAMES: position, pitch yaw roll, velocity, body rates. z is the camera's
-pose, R its covariance as the pose network states it, times `correlation`.
+x is in the order of STATE_NAMES: position, pitch yaw roll, velocity, body rates; behind these come
+parameters of the process that are estimated with them [Simon, sec. 13.4: parameter estimation]: how
+much more effective each control is than in the model, as logarithms. z is the camera's pose, R its
+covariance as the pose network states it, times `correlation`.
 
 A pose belongs to the time at which its image was taken, which is some time ago. The filter goes
 back to that time, fuses the pose there, fuses again what is younger, and predicts to the present by
@@ -54,8 +56,12 @@ class CameraPose(Protocol):
 class Process(Protocol):
     """Motion of the state."""
 
+    @property
+    def n_parameters(self) -> int:
+        """Parameters of its own, behind the 12 states; each is zero where the model is right."""
+
     def advance(self, t: float, t_end: float, x: Array) -> Array:
-        """States (12, B) at t_end [s] of states (12, B) at t [s]."""
+        """States and parameters (12 + n_parameters, B) at t_end [s] of those at t [s]."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +88,11 @@ class FilterSettings:
     # Standard deviations of the start's velocity and rates, which one pose does not show.
     start_velocity_sigma: float = 1.5  # [m/s]
     start_rate_sigma: float = 1.0  # [rad/s]
+    # Parameters of the process: standard deviation at the start, noise of a step and largest size.
+    # For logarithms of factors: between 0.6 and 1.6 twice in three, and 1/6 to 6 at most.
+    start_parameter_sigma: float = 0.5
+    parameter_noise: float = 0.03
+    max_parameter: float = 1.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +100,8 @@ class Estimate:
     """A state with its covariance at one time."""
 
     t: float  # [s]
-    x: Array  # (12,) in the order of STATE_NAMES, SI
-    P: Array  # (12, 12)
+    x: Array  # (12 + n,) in the order of STATE_NAMES, SI, then n parameters of the process
+    P: Array  # (12 + n, 12 + n)
 
     @property
     def sigma_position(self) -> float:
@@ -115,11 +126,25 @@ class Fusion:
 
 
 class AircraftProcess:
-    """An aircraft's model flown on the commands sent to it, which arrive after a delay."""
+    """An aircraft's model flown on the commands sent to it, which arrive after a delay.
 
-    def __init__(self, model: Model, delay: float) -> None:
-        """delay: from a command to its arrival at the aircraft [s]; the model adds its own."""
+    The controls of the aircraft that flies may be more or less effective than the model's: with
+    factors e, a command u acts as level + e (u - level) does on the model. The parameters are the
+    logarithms of e for aileron, elevator and rudder.
+    """
+
+    n_parameters = 3
+
+    def __init__(self, model: Model, delay: float, level: Array | None = None) -> None:
+        """Begin without a command.
+
+        Args:
+            model: the aircraft's.
+            delay: from a command to its arrival at the aircraft [s]; the model adds its own.
+            level: (4,) command of straight level flight; None for neutral and idle.
+        """
         self._model, self._delay = model, delay
+        self._level = np.zeros(4) if level is None else np.asarray(level, np.float64)
         self._times: list[float] = []
         self._commands: list[Array] = []
 
@@ -130,10 +155,15 @@ class AircraftProcess:
         del self._times[:-COMMAND_HISTORY], self._commands[:-COMMAND_HISTORY]
 
     def advance(self, t: float, t_end: float, x: Array) -> Array:
-        """States (12, B) at t_end of states at t; neutral and idle without any command."""
+        """States and parameters (15, B) at t_end of those at t; neutral and idle without a command.
+
+        The parameters stay.
+        """
         times = np.array(self._times or [0.0])
         commands = np.array(self._commands or [np.zeros(4)])
-        return advance(self._model, t, t_end, x, times, commands)
+        factor = np.concatenate([np.zeros_like(x[:1]), x[12:]])  # the throttle's is one
+        flown = advance(self._model, t, t_end, x[:12], times, commands, np.exp(factor), self._level)
+        return np.concatenate([flown, x[12:]])
 
 
 class OnlineFilter:
@@ -236,30 +266,36 @@ class OnlineFilter:
         roll, pitch, yaw = map(float, euler_from_rotation(R_world_body))
         p_world = pose.T_world_camera[:3, 3] - R_world_body @ self._p_body_camera
         v_world = R_world_body @ self._v_body_start
-        x = np.concatenate([p_world, [pitch, yaw, roll], v_world, np.zeros(3)])
+        n = self._process.n_parameters
+        x = np.concatenate([p_world, [pitch, yaw, roll], v_world, np.zeros(3 + n)])
         # The pose part of H is square: the covariance of the six is H^-1 R H^-T.
         H_inverse = np.linalg.inv(self._linearised(x)[:, :6])
-        P = np.zeros((12, 12))
+        P = np.zeros((12 + n, 12 + n))
         P[:6, :6] = H_inverse @ pose.R @ H_inverse.T
-        sigmas = (self.settings.start_velocity_sigma, self.settings.start_rate_sigma)
-        P[6:, 6:] = np.diag(np.repeat(np.square(sigmas), 3))
+        sigmas = (
+            self.settings.start_velocity_sigma, self.settings.start_rate_sigma,
+            self.settings.start_parameter_sigma,
+        )  # fmt: skip
+        P[6:, 6:] = np.diag(np.repeat(np.square(sigmas), (3, 3, n)))
         self._now = Estimate(t, x, P)
         self._fusions, self._rejected = [Fusion(self._now, pose)], 0
         return ""
 
     def _predicted(self, estimate: Estimate, t: float) -> Estimate:
         """The estimate at a later time, in steps of 50 ms at most."""
-        noise = np.zeros(12)
+        n = len(estimate.x)
+        noise = np.zeros(n)
         noise[6:9], noise[9:12] = self.settings.velocity_noise, self.settings.rate_noise
+        noise[12:] = self.settings.parameter_noise
         while estimate.t < t - TIME_ROUNDING:
             t_next = min(estimate.t + CONTROL_PERIOD_S, t)
             # One batch: the state, and each coordinate moved up and down for the derivative F.
-            moved = DIFFERENCE_STEP * np.eye(12)
+            moved = DIFFERENCE_STEP * np.eye(n)
             x = estimate.x[:, None]
             batch = np.concatenate([x, x + moved, x - moved], axis=1)
             with np.errstate(all="ignore"):  # what is not finite is found by the caller
                 after = self._process.advance(estimate.t, t_next, batch)
-                F = (after[:, 1:13] - after[:, 13:]) / (2.0 * DIFFERENCE_STEP)
+                F = (after[:, 1 : n + 1] - after[:, n + 1 :]) / (2.0 * DIFFERENCE_STEP)
                 Q = np.diag(noise**2) * (t_next - estimate.t) / CONTROL_PERIOD_S
                 estimate = Estimate(t_next, after[:, 0], F @ estimate.P @ F.T + Q)
         return replace(estimate, t=t)
@@ -280,7 +316,8 @@ class OnlineFilter:
         K = np.linalg.solve(S, H @ P).T  # P and S are symmetric
         x = x + K @ y
         x[3:6] = wrap_angle(x[3:6])
-        rest = np.eye(12) - K @ H
+        x[12:] = np.clip(x[12:], -self.settings.max_parameter, self.settings.max_parameter)
+        rest = np.eye(len(x)) - K @ H
         P = rest @ P @ rest.T + K @ pose.R @ K.T
         return Estimate(t, x, 0.5 * (P + P.T))
 
@@ -297,7 +334,7 @@ class OnlineFilter:
         return np.concatenate([pose.T_world_camera[:3, 3] - p_world_camera, turn])
 
     def _linearised(self, x: Array) -> Array:
-        """H (6, 12), the derivative of the camera's position and rotation vector by the state.
+        """H (6, 12 + n), the derivative of the camera's position and rotation vector by the state.
 
         A small change of an angle turns the body by w in world axes, w = R_world_body (p, q, r) of
         that angle's rate [Stevens, Lewis & Johnson, eq. 1.4-4], and moves the camera by w x r, with
@@ -311,7 +348,7 @@ class OnlineFilter:
             body_rates(roll, pitch, **{name: np.array(unit) for name, unit in unit_rates.items()})
         )
         lever = R_world_body @ self._p_body_camera
-        H = np.zeros((6, 12))
+        H = np.zeros((6, len(x)))
         H[:3, :3] = np.eye(3)
         H[:3, 3:6] = np.cross(per_angle, lever, axisa=0).T
         H[3:, 3:6] = per_angle

@@ -1,6 +1,7 @@
 """Experts in the simulated world: landing, following, waypoints, level flight without a state."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from falconwing_kit.control.expert import (
 from falconwing_kit.control.leader import leader_path
 from falconwing_kit.control.loops import Autopilot, Reference, TrimTable, air_velocity
 from falconwing_kit.core.checks import InputError
-from falconwing_kit.core.messages import Observation, State
+from falconwing_kit.core.messages import COMMAND_NAMES, Observation, State
 from falconwing_kit.flight.world import SimulatedWorld
 
 AIRFRAME, PAD = load_airframe(), LandingPad()
@@ -280,3 +281,48 @@ def test_what_cannot_land_in_this_hall_is_refused():
     for wind in ((0.0, 4.0), (-5.0, 0.0)):
         with pytest.raises(InputError, match=r"expected a wind that 7\.0 m/s can land in"):
             LandingExpert(add_uniform_wind(rates_model(), *wind), AIRFRAME, PAD)
+
+
+class TrueState:
+    """An observer that is given everything: the simulated state and the controls' effectiveness."""
+
+    def __init__(self, world, effectiveness):
+        self.world, self.effectiveness = world, effectiveness
+
+    def estimate(self, observation):
+        return self.world.state
+
+
+class OtherControls:
+    """A pilot's aircraft whose commands act as level + e (u - level) on the kit's."""
+
+    def __init__(self, pilot, effectiveness):
+        self.pilot, self.effectiveness, self.sent = pilot, effectiveness, np.zeros((30, 4))
+        self.level = trim(rates_model(), 7.0).command
+
+    @property
+    def mode(self):
+        return self.pilot.mode
+
+    def act(self, observation):
+        command = self.pilot.act(replace(observation, past_commands=self.sent))
+        self.sent = np.concatenate([self.sent[1:], command.vector[None]])
+        acting = self.level + self.effectiveness * (command.vector - self.level)
+        return replace(command, **dict(zip(COMMAND_NAMES, acting.tolist(), strict=True)))
+
+
+def test_an_aircraft_with_stronger_controls_flies_the_same():
+    """With e known, commands act as those of the expert on the kit's aircraft: the same flight, to
+    rounding. With e taken for one, ailerons four times as effective do not stay within its bank.
+    """
+    start = cruising((-19.0, -1.5, 1.5), 5.0)
+    e, states = np.array([1.0, 4.0, 2.0, 3.0]), {}
+    for name, acting, known in (("kit", 1.0, 1.0), ("known", e, e), ("unknown", e, 1.0)):
+        world = SimulatedWorld(rates_model(), AIRFRAME, start, seed=1, pad=PAD)
+        observer = TrueState(world, known * np.ones(4))
+        expert = LandingExpert(rates_model(), AIRFRAME, PAD, observer=observer)
+        states[name], _ = fly(world, OtherControls(expert, acting * np.ones(4)), 8.0)
+    assert states["known"] == pytest.approx(states["kit"], abs=1e-6)
+    settled = slice(40, 60)
+    assert np.abs(states["kit"][settled, 5]).max() < math.radians(3.0)
+    assert np.abs(states["unknown"][settled, 5]).max() > math.radians(10.0)

@@ -17,6 +17,7 @@ from falconwing_kit.sysid.shooting import (
     fly_windows,
     jacobian,
     pose_residuals,
+    predict,
     residual_sets,
     residuals,
 )
@@ -430,6 +431,28 @@ def test_a_diverging_change_is_infinite_for_itself_alone():
     assert np.array_equal(
         found[1:], finite_differences(base, windows, initial_states, sets[1][:, None])
     )
+
+
+def test_a_window_that_a_change_makes_diverge_shows_nothing(monkeypatch):
+    """Zero derivatives to all parameters there, though the flight itself is finite; those of the
+    other windows and all others are unchanged. The change of the first parameter diverges in window
+    1: predicted poses are replaced by infinities.
+    """
+    windows, model = cut_windows([flight(10.0)], paper_model()), paper_model()
+    initial_states, free = windows.initial_guess[:, :9], (0, 1)
+    plain = jacobian(model, windows, initial_states, free)
+
+    def diverging(*arguments):
+        poses = predict(*arguments)
+        poses[-1, 0, 1, 1] = np.inf  # last row, x, column of the first parameter, window
+        return poses
+
+    monkeypatch.setattr("falconwing_kit.sysid.shooting.predict", diverging)
+    residual, of_parameters, of_states = jacobian(model, windows, initial_states, free)
+    others = np.arange(len(windows)) != 1
+    assert np.array_equal(residual, plain[0]) and np.array_equal(of_states, plain[2])
+    assert np.abs(plain[1][1]).max() > 0.0 and not of_parameters[1].any()
+    assert np.array_equal(of_parameters[others], plain[1][others])
 
 
 def test_a_tilted_camera_sees_other_angles(noisy):
