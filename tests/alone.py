@@ -47,6 +47,7 @@ ALONE = {
 # Files that take minutes, longest first: begun late, they would keep one process busy while the
 # other waits.
 LONGEST = (
+    "stories/test_page_commands.py",
     "sysid/test_identify.py",
     "stories/test_blind_naming.py",
     "gap/test_name.py",

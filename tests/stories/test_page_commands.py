@@ -1,0 +1,29 @@
+"""Every command that README and the site's pages ask to be typed runs; those that need the machine
+to themselves are in test_readme.py.
+"""
+
+import pytest
+
+from tests.stories.pages import OURS, is_in_real_time, make_folder, run_as_typed
+
+pytestmark = pytest.mark.timeout(900)  # some fly trials by two processes, beside another test
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder as the reader has it, to type commands in."""
+    make_folder(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("line", [line for line in OURS if not is_in_real_time(line)])
+def test_command_runs(line, folder, capsys):
+    """Typed as printed, in a folder with a flight and a log."""
+    run_as_typed(line, folder, capsys)
+
+
+def test_both_kinds_are_there():
+    """Neither file's list may become empty by a change of the other's."""
+    alone = [line for line in OURS if is_in_real_time(line)]
+    assert len(alone) > 10 and len(OURS) - len(alone) > 25
