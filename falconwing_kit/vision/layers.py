@@ -21,7 +21,8 @@ def standardise(image: Array32) -> Array32:
 def convolve(x: Array32, weight: Array32, stride: int) -> Array32:
     """Cross-correlation with zeros around, as in PyTorch: (C, h, w) -> (D, h / s, w / s).
 
-    The windows become the columns of a matrix, so that one matrix product does the work (im2col).
+    The windows become the columns of a matrix, so that one matrix product does the work (im2col);
+    its rows are the image shifted by each place of a window.
 
     Args:
         x: (C, h, w).
@@ -31,11 +32,13 @@ def convolve(x: Array32, weight: Array32, stride: int) -> Array32:
     (channels, rows, columns), k = x.shape, weight.shape[-1]
     if k > 1:
         x = np.pad(x, ((0, 0), (k // 2, k // 2), (k // 2, k // 2)))
-    windows = np.lib.stride_tricks.sliding_window_view(x, (k, k), axis=(1, 2))
-    windows = windows[:, ::stride, ::stride]
-    rows, columns = windows.shape[1:3]
-    matrix = windows.transpose(0, 3, 4, 1, 2).reshape(channels * k * k, rows * columns)
-    return np.asarray(weight.reshape(len(weight), -1) @ matrix).reshape(-1, rows, columns)
+    rows, columns = (rows - 1) // stride + 1, (columns - 1) // stride + 1
+    matrix = np.empty((channels, k, k, rows, columns), np.result_type(x, weight))
+    for i in range(k):
+        for j in range(k):
+            matrix[:, i, j] = x[:, i::stride, j::stride][:, :rows, :columns]
+    product = weight.reshape(len(weight), -1) @ matrix.reshape(-1, rows * columns)
+    return np.asarray(product).reshape(-1, rows, columns)
 
 
 def double(x: Array32, rows: int, columns: int) -> Array32:
