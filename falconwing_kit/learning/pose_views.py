@@ -1,10 +1,11 @@
 """Training views for poses: a scene, photos pasted into its views, a leader drawn into them ->
 images, depths and camera poses.
 
-Cameras are drawn from three distributions, in shares that the caller gives:
+Cameras are drawn from these distributions, in shares that the caller gives:
 
 - aircraft: uniform in the hall's box half a metre from its sides, any heading, roll with a standard
   deviation of 25 deg, pitch of 12 deg;
+- approach: low along a landing pad and before it, where a pilot that lands needs its poses most;
 - near photos: 0.7 m and 10 deg (standard deviations per axis) from a photo of the training set;
 - photos: at a photo's position, rotated by some degrees. What the photo shows is copied from it,
   which is exact since a rotation about the camera's centre needs no depth; the rest is rendered.
@@ -20,12 +21,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.checks import Array
 from falconwing_kit.core.frames import camera_pose, pose_matrix, rotation_world_body
 from falconwing_kit.scene.camera import PinholeCamera
 from falconwing_kit.scene.gaussians import GaussianScene
 from falconwing_kit.scene.render import render
-from falconwing_kit.vision.pose_net import TRAINING_MARGIN
+from falconwing_kit.vision.pose_net import TRAINING_MARGIN, Box
 from falconwing_kit.vision.pose_network import CELL, cross_matrix
 
 TURN_DEG, SHIFT = 10.0, 0.7  # of views near photos [deg, m]
@@ -36,6 +38,10 @@ OCCLUDING_ALPHA = 0.3  # of the leader; from here on it hides the hall's depth
 SUPERSAMPLING = 2  # renders are averaged over so many pixels a side, like scaled photos
 BATCH = 32  # views in a call of the GPU renderer
 LEADER_NEAR, LEADER_FAR = 1.5, 12.0  # [m]
+# Of an approach: way before the pad, half width, least and largest height above the pad [m], and
+# standard deviations of roll, pitch and heading [deg].
+APPROACH_LENGTH, APPROACH_ASIDE, APPROACH_HEIGHTS = 8.0, 1.5, (0.08, 1.2)
+APPROACH_TURNS_DEG = (8.0, 5.0, 8.0)
 
 # poses (C, 4, 4) -> colour (C, H, W, 3), alpha (C, H, W), depth (C, H, W) [m] on the device
 RenderFunction = Callable[[Array], tuple[Tensor, Tensor, Tensor]]
@@ -78,6 +84,8 @@ class ViewSource:
     near_share: float = 0.35  # of views near photos
     photo_share: float = 0.15  # of views copied from photos
     leader_share: float = 0.2  # of views with a leader
+    pad: LandingPad | None = None  # to which aircraft approach
+    approach_share: float = 0.0  # of the aircraft's views
     device: str = "cpu"
 
 
@@ -124,6 +132,10 @@ def sample_views(world: ViewSource, count: int, rng: np.random.Generator) -> Vie
     """At most `count` views at random poses; those into a wall or out of the hall are rejected."""
     # poses: aircraft, some replaced by poses at or near photos
     Ts_world_camera = aircraft_poses(world.low, world.high, count, rng)
+    if world.pad is not None and world.approach_share > 0.0:
+        approaches = rng.random((count, 1, 1)) < world.approach_share
+        Ts_low = approach_poses(world.pad, count, rng)
+        Ts_world_camera = np.where(approaches, Ts_low, Ts_world_camera)
     numbers, from_photo = np.zeros(count, np.int64), np.zeros(count, bool)
     if world.photos is not None:
         draw = rng.random(count)  # decides which distribution a view is from
@@ -172,6 +184,22 @@ def aircraft_poses(low: Array, high: Array, count: int, rng: np.random.Generator
     roll, pitch = np.radians(rng.normal(0.0, (25.0, 12.0), (count, 2))).T
     R_world_body = rotation_world_body(roll, pitch, rng.uniform(-np.pi, np.pi, count))
     return camera_pose(pose_matrix(R_world_body, p_world))
+
+
+def approach_box(pad: LandingPad) -> Box:
+    """Lower and upper corner [m] of the cameras of `approach_poses`."""
+    lowest, highest = (pad.height + height for height in APPROACH_HEIGHTS)
+    before, end = pad.x_start - APPROACH_LENGTH, pad.x_start + pad.length
+    right, left = pad.y_centre - APPROACH_ASIDE, pad.y_centre + APPROACH_ASIDE
+    return (before, right, lowest), (end, left, highest)
+
+
+def approach_poses(pad: LandingPad, count: int, rng: np.random.Generator) -> Array:
+    """(N, 4, 4) camera poses along a pad and low before it, uniform in the `approach_box`."""
+    low, high = (np.array(corner) for corner in approach_box(pad))
+    roll, pitch, yaw = np.radians(rng.normal(0.0, APPROACH_TURNS_DEG, (count, 3))).T
+    p_world = rng.uniform(low, high, (count, 3))
+    return camera_pose(pose_matrix(rotation_world_body(roll, pitch, yaw), p_world))
 
 
 def perturb_poses(

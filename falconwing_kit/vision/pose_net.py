@@ -33,6 +33,7 @@ MAX_FILE_BYTES = 256 * 1024**2
 TRAINING_MARGIN = 0.5  # distance of the cameras in training from the sides of the hall's box [m]
 MAX_MISSING = 0.25  # share of the trained field of view that a camera may lack
 VERSION = 1
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]  # lower, upper corner [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,7 @@ class PoseNetRecord:
     high: tuple[float, float, float]
     sigma_scales: tuple[float, float] = (1.0, 1.0)  # of position and rotation, from calibration
     source: str = ""  # scene and photos it was trained on
+    approach: Box | None = None  # of the cameras of approaches to a pad, if there were any
     version: int = VERSION
 
     @property
@@ -162,14 +164,18 @@ class PoseNet:
             file.write(save(tensors, {"pose_net": json.dumps(asdict(self.record))}))
 
     def extrapolation(self, p_world_camera: Array) -> float:
-        """Distance [m] of a place (3,) outside the box of the cameras in training; 0 inside.
+        """Distance [m] of a place (3,) outside the boxes of the cameras in training; 0 inside.
 
-        Outside it, as just above the floor, poses are drawn towards the box and their covariances
+        Outside them, as just above the floor, poses are drawn towards the box and their covariances
         are too small.
         """
         low, high = np.array(self.record.low), np.array(self.record.high)
-        inside = np.clip(p_world_camera, low + TRAINING_MARGIN, high - TRAINING_MARGIN)
-        return float(np.linalg.norm(p_world_camera - inside))
+        boxes = [(low + TRAINING_MARGIN, high - TRAINING_MARGIN)]
+        if self.record.approach is not None:
+            boxes.append((np.array(self.record.approach[0]), np.array(self.record.approach[1])))
+        return min(
+            float(np.linalg.norm(p_world_camera - np.clip(p_world_camera, *box))) for box in boxes
+        )
 
     def estimate(self, image: Pixels, camera: PinholeCamera) -> PoseEstimate:
         """Estimate the pose of the camera that took an image.

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.frames import euler_from_rotation
 from falconwing_kit.learning import pose_views
 from falconwing_kit.learning.pose_views import (
     aircraft_poses,
+    approach_poses,
     draw_leader,
     make_renderer,
     overlay_photos,
@@ -93,6 +95,31 @@ def test_aircraft_are_anywhere_in_the_box_and_head_anywhere():
     assert np.degrees(roll.std()) == pytest.approx(25.0, rel=0.05)
     assert np.degrees(pitch.std()) == pytest.approx(12.0, rel=0.05)
     assert np.histogram(yaw, 4, (-np.pi, np.pi))[0].min() > 900
+
+
+def test_approaches_are_low_along_the_pad():
+    """By the documented distribution: from 8 m before a pad 12 m long and 6 cm high, within 1.5 m
+    of its centre line, 8 cm to 1.2 m above it; along it with 8 deg, roll 8 and pitch 5 deg.
+    """
+    pad = LandingPad(x_start=2.0, y_centre=-3.0, length=12.0, height=0.06)
+    Ts = approach_poses(pad, 4000, np.random.default_rng(0))
+    assert (Ts[:, :3, 3] >= (-6.0, -4.5, 0.14)).all()
+    assert (Ts[:, :3, 3] <= (14.0, -1.5, 1.26)).all()
+    R_body_from_camera = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    turns = np.degrees(euler_from_rotation(Ts[:, :3, :3] @ R_body_from_camera))
+    assert turns.std(axis=1) == pytest.approx([8.0, 5.0, 8.0], rel=0.05)
+    assert np.abs(turns.mean(axis=1)).max() < 0.5
+
+
+def test_views_of_approaches_come_from_below_all_other_aircraft():
+    """Those are half a metre inside the box, from 1 m above the floor on; the floor below a camera
+    is not taken for an obstacle, so that most views stay.
+    """
+    low_flying = world(pad=LandingPad(), approach_share=1.0)
+    views = sample_views(low_flying, 40, np.random.default_rng(1))
+    heights = views.Ts_world_camera[:, 2, 3].numpy()
+    assert len(views.images) > 30
+    assert np.sum(heights < 0.6) > 10 and heights.max() < 1.3
 
 
 def test_perturbation_has_the_given_sigmas():

@@ -1,6 +1,6 @@
 """Pose net: geometry of poses known by construction, lenses, weight files, and bad input."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -249,6 +249,22 @@ def test_a_saved_net_estimates_the_same(net, tmp_path):
         [*LOW],
         [*HIGH],
     )
+
+
+def test_distance_outside_the_training_is_that_to_the_nearer_box(net, tmp_path):
+    """By hand: cameras in training were half a metre inside the hall's box and, if there were
+    approaches, in their box, which a saved net remembers.
+    """
+    (x, y, z), below = LOW, np.array([0.0, 0.0, -0.3])
+    corner = np.array([x, y, z]) + 0.5
+    assert net.extrapolation(corner) == 0.0
+    assert net.extrapolation(corner + below) == pytest.approx(0.3)
+    lower = tuple((corner + 2.0 * below).tolist()), tuple((corner + below / 3.0).tolist())
+    PoseNet(net.network, replace(net.record, approach=lower)).save(tmp_path / "net.safetensors")
+    with_approach = PoseNet.load(tmp_path / "net.safetensors")
+    assert with_approach.extrapolation(corner + below) == 0.0
+    assert with_approach.extrapolation(corner + 3.0 * below) == pytest.approx(0.3)
+    assert with_approach.extrapolation(corner + below / 6.0) == pytest.approx(0.05)
 
 
 def test_default_network_ships_below_8_mb(tmp_path):

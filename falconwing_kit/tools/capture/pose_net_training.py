@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from safetensors.torch import load_file
 
+from falconwing_kit.aircraft.touchdown import LandingPad
 from falconwing_kit.core.checks import Array, InputError, require_file, require_range, require_shape
 from falconwing_kit.core.files import atomic_write, short_name
 from falconwing_kit.learning.appearance import randomise_appearance
@@ -34,6 +35,7 @@ from falconwing_kit.learning.pose_net_loop import PoseNetTrainer, TrainSchedule
 from falconwing_kit.learning.pose_views import (
     SUPERSAMPLING,
     ViewSource,
+    approach_box,
     make_renderer,
     sample_views,
     upscale_camera,
@@ -70,6 +72,7 @@ class PoseNetConfig:
     leader: Path | None = None  # a scene of the leader in its body axes
     photo_share: float = 0.15
     near_share: float = 0.35
+    approach_share: float = 0.0
     box: tuple[float, ...] = ()  # lower and upper corner [m]; empty: from the scene
     backend: str = "auto"
     antialiased: bool = False
@@ -268,6 +271,7 @@ def _record(job: PoseNetConfig, photos: Reconstruction, scene: GaussianScene) ->
         (float(low[0]), float(low[1]), float(low[2])),
         (float(high[0]), float(high[1]), float(high[2])),
         source=f"renders of {scene.source}; photos: {job.photo_share:.0%}",
+        approach=approach_box(LandingPad()) if job.approach_share > 0.0 else None,
     )
 
 
@@ -297,7 +301,7 @@ def _view_source(
     device: str,
 ) -> ViewSource:
     """Renderers and photos for the training views."""
-    for name in ("photo_share", "near_share"):
+    for name in ("photo_share", "near_share", "approach_share"):
         require_range(name, getattr(job, name), low=0.0, high=1.0)
     fine_camera, render_leader = upscale_camera(record.camera), None
     if job.leader is not None:
@@ -312,6 +316,8 @@ def _view_source(
         near_share=job.near_share,
         photo_share=job.photo_share,
         device=device,
+        pad=LandingPad(),
+        approach_share=job.approach_share,
     )
 
 

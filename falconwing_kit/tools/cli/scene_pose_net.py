@@ -67,6 +67,8 @@ class TrainPoseNet:
     """share of the training views that are copied from photos; 0: renders only"""
     near_share: float = 0.35
     """share of the training views near photos"""
+    approach_share: float = 0.0
+    """share of the other views low before and above the kit's pad, for pilots that land"""
     steps: int = 1_000_000
     """of training at most"""
     minutes: float = 8.0
