@@ -302,9 +302,9 @@ def advance(
         times: (N,) when each command arrives at the aircraft, before delay and lag of the model
             itself [s], not decreasing; the first command also acts before its time.
         commands: (N, 4) in the order of COMMAND_NAMES.
-        effectiveness: (4, ...) e of each aircraft's controls: positions c act as level + e (c -
-            level); None for one.
-        level: (4,) such positions that e changes nothing; needed with `effectiveness`.
+        effectiveness: (4, ...) e of each aircraft's controls: a position u acts as level +
+            e (u - level); None for one.
+        level: (4,) the positions at which e changes nothing; None for zeros.
 
     Returns:
         (n_states, ...) states at t_end.
@@ -323,8 +323,8 @@ def advance(
     columns = (4, *(1,) * (x.ndim - 1))
     for k in range(before, before + steps):
         position, half_change = mean[k].reshape(columns), slope[k].reshape(columns)
-        if effectiveness is not None and level is not None:
-            still = level.reshape(columns)
+        if effectiveness is not None:
+            still = np.zeros(columns) if level is None else level.reshape(columns)
             position = still + effectiveness * (position - still)
             half_change = effectiveness * half_change
         x = step_batch(rates, K, edges[k], x, position, dt, half_change)

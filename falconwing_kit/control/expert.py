@@ -105,10 +105,11 @@ class EstimatingAutopilot:
         if np.all(e == 1.0):
             return self._autopilot.command(state, reference, past, idle, observation.t)
         level = self.level().vector
-        sent = np.any(past, axis=1, keepdims=True)  # rows of zeros were never sent
+        sent = np.any(past, axis=1, keepdims=True)  # rows of zeros count as never sent
         past = np.where(sent, level + e * (past - level), past)
-        command = self._autopilot.command(state, reference, past, idle, observation.t).vector
-        return Command.clip(*(level + (command - level) / e))
+        wanted = self._autopilot.command(state, reference, past, idle, observation.t)
+        command = Command.clip(*(level + (wanted.vector - level) / e))
+        return replace(command, saturated=command.saturated or wanted.saturated)
 
     def reference(
         self, path: ReferencePath, s: float, airspeed: float, state: State, t: float

@@ -177,6 +177,11 @@ class PosePilot:
         """The estimated state; None without one."""
         return self._observer.state
 
+    @property
+    def effectiveness(self) -> Array:
+        """(4,) Estimated, of the aircraft's controls in shares of the model's."""
+        return self._observer.effectiveness
+
     def act(self, observation: Observation) -> Command:
         """The expert's command on the estimate; the safe command where the aircraft is lost."""
         past_commands = finite_commands(observation.past_commands)

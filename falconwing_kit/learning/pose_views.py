@@ -132,10 +132,11 @@ def sample_views(world: ViewSource, count: int, rng: np.random.Generator) -> Vie
     """At most `count` views at random poses; those into a wall or out of the hall are rejected."""
     # poses: aircraft, some replaced by poses at or near photos
     Ts_world_camera = aircraft_poses(world.low, world.high, count, rng)
+    approaches = np.zeros(count, bool)
     if world.pad is not None and world.approach_share > 0.0:
-        approaches = rng.random((count, 1, 1)) < world.approach_share
+        approaches = rng.random(count) < world.approach_share
         Ts_low = approach_poses(world.pad, count, rng)
-        Ts_world_camera = np.where(approaches, Ts_low, Ts_world_camera)
+        Ts_world_camera = np.where(approaches[:, None, None], Ts_low, Ts_world_camera)
     numbers, from_photo = np.zeros(count, np.int64), np.zeros(count, bool)
     if world.photos is not None:
         draw = rng.random(count)  # decides which distribution a view is from
@@ -146,11 +147,14 @@ def sample_views(world: ViewSource, count: int, rng: np.random.Generator) -> Vie
         shift = np.where(from_photo, 0.0, SHIFT)
         Ts_near = perturb_poses(Ts_photo[numbers], shift, TURN_DEG, rng)
         Ts_world_camera = np.where(from_or_near_photo[:, None, None], Ts_near, Ts_world_camera)
+        approaches &= ~from_or_near_photo
     # render, and reject views that show too little of the hall or a surface too near
     colours, alphas, depths = world.render_hall(Ts_world_camera)
     depths = depths * (alphas > SOLID_ALPHA)
     covered, near_pixels = alphas.mean(dim=(1, 2)), (depths < NEAR).float().mean(dim=(1, 2))
-    usable = (covered > MIN_COVERED) & (near_pixels < NEAR_SHARE)
+    # in an approach the near surface is the floor or the pad
+    is_free = (near_pixels < NEAR_SHARE) | torch.from_numpy(approaches).to(near_pixels.device)
+    usable = (covered > MIN_COVERED) & is_free
     # photos are copied over the renders at their positions; such views are always valid
     if world.photos is not None and from_photo.any():
         rows = torch.from_numpy(np.flatnonzero(from_photo)).to(colours.device)

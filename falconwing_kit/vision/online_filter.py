@@ -8,10 +8,10 @@ State Estimation, sec. 13.2] whose process is the aircraft's model flown on the 
     update    y = z - h(x),   S = H P H^T + R,   K = P H^T S^-1
               x = x + K y,    P = (I - K H) P (I - K H)^T + K R K^T       [Joseph's form]
 
-x is in the order of STATE_NAMES: position, pitch yaw roll, velocity, body rates; behind these come
-parameters of the process that are estimated with them [Simon, sec. 13.4: parameter estimation]: how
-much more effective each control is than in the model, as logarithms. z is the camera's pose, R its
-covariance as the pose network states it, times `correlation`.
+x is in the order of STATE_NAMES: position, pitch yaw roll, velocity, body rates. Behind these come
+parameters of the process, estimated with them [Simon, sec. 13.4: parameter estimation]: how much
+more effective each control surface is than in the model, as logarithms. z is the camera's pose, R
+its covariance as the pose network states it, times `correlation`.
 
 A pose belongs to the time at which its image was taken, which is some time ago. The filter goes
 back to that time, fuses the pose there, fuses again what is younger, and predicts to the present by
@@ -128,9 +128,9 @@ class Fusion:
 class AircraftProcess:
     """An aircraft's model flown on the commands sent to it, which arrive after a delay.
 
-    The controls of the aircraft that flies may be more or less effective than the model's: with
-    factors e, a command u acts as level + e (u - level) does on the model. The parameters are the
-    logarithms of e for aileron, elevator and rudder.
+    The control surfaces of the aircraft that flies may be more or less effective than the model's:
+    with factors e, a control position u acts as level + e (u - level) does on the model. The
+    parameters are the logarithms of e for aileron, elevator and rudder.
     """
 
     n_parameters = 3
@@ -141,7 +141,7 @@ class AircraftProcess:
         Args:
             model: the aircraft's.
             delay: from a command to its arrival at the aircraft [s]; the model adds its own.
-            level: (4,) command of straight level flight; None for neutral and idle.
+            level: (4,) control positions of straight level flight; None for neutral and idle.
         """
         self._model, self._delay = model, delay
         self._level = np.zeros(4) if level is None else np.asarray(level, np.float64)
@@ -277,6 +277,8 @@ class OnlineFilter:
             self.settings.start_parameter_sigma,
         )  # fmt: skip
         P[6:, 6:] = np.diag(np.repeat(np.square(sigmas), (3, 3, n)))
+        if self._now is not None:  # what was found of the process stays true
+            x[12:], P[12:, 12:] = self._now.x[12:], self._now.P[12:, 12:]
         self._now = Estimate(t, x, P)
         self._fusions, self._rejected = [Fusion(self._now, pose)], 0
         return ""

@@ -160,8 +160,9 @@ class PoseNet:
             # the running statistics of batch normalisation keep single precision
             is_weight = tensor.dtype == torch.float32 and "running" not in key
             tensors[key] = (tensor.half() if is_weight else tensor).contiguous().cpu()
+        record = {key: value for key, value in asdict(self.record).items() if value is not None}
         with atomic_write(path) as file:
-            file.write(save(tensors, {"pose_net": json.dumps(asdict(self.record))}))
+            file.write(save(tensors, {"pose_net": json.dumps(record)}))
 
     def extrapolation(self, p_world_camera: Array) -> float:
         """Distance [m] of a place (3,) outside the boxes of the cameras in training; 0 inside.

@@ -16,6 +16,8 @@ from falconwing_kit.core.messages import SAFE_COMMAND, Command, Image, Observati
 from falconwing_kit.flight import FollowTask, LandingTask, fpv_camera, load_pilot
 from falconwing_kit.flight.loop import Loop
 from falconwing_kit.flight.pose_pilot import PosePilot
+from falconwing_kit.flight.world import SimulatedWorld
+from falconwing_kit.vision.online_filter import FilterSettings
 
 CAMERA, MOUNT = fpv_camera(64, 48), np.array([0.20, 0.0, 0.0])
 SIGMAS = np.array([0.15, 0.15, 0.08, 0.01, 0.01, 0.01])  # about those of the pose network
@@ -94,6 +96,35 @@ def land(seed, change=lambda k, images: images[-1], states=None):
     modes, commands, errors = zip(*steps, strict=True)
     rms = np.sqrt(np.nanmean(np.square(errors[10:])))
     return judge.result(), modes, np.array(commands), rms
+
+
+def test_an_aircraft_with_stronger_controls_lands():
+    """Ailerons three times and elevator and rudder twice as effective as the model's: the pilot
+    finds that, and rolls less and less; one that may not look for it goes on rolling to and fro.
+    """
+    model = rates_model()
+    strong = model.with_values(
+        {name: k * model.values[name] for name, k in (("L_da", 3.0), ("M_de", 2.0), ("N_dr", 2.0))}
+    )
+    known = FilterSettings(start_parameter_sigma=0.0, parameter_noise=0.0)
+    rolls = []
+    for settings in (None, known):
+        net, trial = KnownPoses(1), LandingTask().trial(1)
+        world = SimulatedWorld(strong, load_airframe(), trial.world.state, seed=1, pad=LandingPad())
+        pilot = PosePilot(
+            model, load_airframe(), LandingPad(), CAMERA, MOUNT, net, settings=settings
+        )
+        roll = []
+        loop = Loop(
+            pilot, world, Camera(world, net),
+            hooks=[lambda step, world=world, roll=roll: roll.append(world.state.roll)],
+        )  # fmt: skip
+        loop.run(6.0, lambda step, world=world: "contact" if world.contact else "")
+        rolls.append(np.degrees(np.abs(roll[50:75])).max())
+        if settings is None:
+            assert world.contact.obstacle == "pad"
+            assert pilot.effectiveness[:2] == pytest.approx([1.0, 3.0], rel=0.15)
+    assert rolls[0] < 8.0 and rolls[1] > 20.0
 
 
 def fly(pilot, net, images, t0=0.0):

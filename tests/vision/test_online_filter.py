@@ -333,6 +333,25 @@ def test_a_wrong_start_is_corrected_after_ten_rejected_poses(rng):
     assert np.linalg.norm(flight.now.x[:3] - states[29, :3]) < 0.1
 
 
+def test_a_new_start_keeps_what_was_found_of_the_controls(rng):
+    """The aircraft is the same: after ten poses 8 m off, which are rejected, the eleventh of these
+    is a new start of the state, not of the controls' effectiveness.
+    """
+    states, commands = flown(rng)
+    level = trim(rates_model(), 7.0).command
+    flight = Flight(level + (commands - level) / 2.0, FilterSettings(rate_noise=0.1), level)
+    for k in range(30):
+        flight.step((k, pose_of(states[k])))
+    before = flight.now
+    assert before.x[12:14].min() > 0.3
+    off = np.array([8.0, *np.zeros(11)])
+    for k in range(30, 41):
+        flight.step((k, pose_of(states[k] + off)))
+    assert np.linalg.norm(flight.now.x[:3] - (states[40] + off)[:3]) < 0.1
+    assert flight.now.x[12:] == pytest.approx(before.x[12:], abs=1e-12)
+    assert (np.diag(flight.now.P)[12:] > np.diag(before.P)[12:]).all()  # by the noise since
+
+
 def test_a_pose_from_long_ago_is_late(rng):
     """Half a second is the horizon."""
     states, commands = flown(rng)
