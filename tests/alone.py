@@ -36,7 +36,7 @@ ALONE = {
     "manual/test_site.py": "processor time and a browser",
     "stories/test_host_killed.py": "a flight in real time",
     "stories/test_live_demo.py": "a browser beside a flight in real time",
-    "stories/test_readme.py": "commands in real time",
+    "stories/test_readme.py": "commands in real time, or of two processes",
     "tools/bridge/test_bus.py": "ROS",
     "trainer_port/test_links.py": "a board behind a pseudo-terminal in real time",
     "tools/bridge/test_ros.py": "ROS",
@@ -47,9 +47,9 @@ ALONE = {
 # Files that take minutes, longest first: begun late, they would keep one process busy while the
 # other waits.
 LONGEST = (
-    "stories/test_page_commands.py",
     "sysid/test_identify.py",
     "stories/test_blind_naming.py",
+    "stories/test_page_commands.py",
     "gap/test_name.py",
     "tools/bridge/test_through_port.py",
     "tools/reports/test_gap_report.py",

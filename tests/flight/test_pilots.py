@@ -100,7 +100,7 @@ def land(seed, change=lambda k, images: images[-1], states=None):
 
 def test_an_aircraft_with_stronger_controls_lands():
     """Ailerons three times and elevator and rudder twice as effective as the model's: the pilot
-    finds that, and rolls less and less; one that may not look for it goes on rolling to and fro.
+    finds that, and rolls less and less; one that may not look for it goes on rolling.
     """
     model = rates_model()
     strong = model.with_values(

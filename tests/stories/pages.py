@@ -66,18 +66,19 @@ def commands(*texts: str) -> list[str]:
 
 OURS = [line for line in commands() if shlex.split(line)[0] == "falconwing"]
 STARTS = [line for line in commands() if line.startswith("python3 start.py")]
-# Verbs that keep to the wall's clock, or start programs that do; `fly` does so with a port.
-IN_REAL_TIME = {
+# Verbs that keep to the wall's clock, or start programs that do, or share their work among two
+# processes; `fly` keeps to the clock with a port.
+ALONE = {
     "bench", "bridge", "calibrate", "class", "demo", "doctor", "find-port", "firmware", "grade",
-    "record", "report", "sandbox",
+    "record", "report", "reproduce", "sandbox",
 }  # fmt: skip
 
 
-def is_in_real_time(line: str) -> bool:
+def needs_the_machine(line: str) -> bool:
     """Whether a command of the kit needs the machine to itself."""
     words = shlex.split(line)[1:]
     with_port = words[0] == "fly" and {"--port", "--bench"} & set(words)
-    return words[0] in IN_REAL_TIME or bool(with_port)
+    return words[0] in ALONE or bool(with_port)
 
 
 def grade_by_hand(out):

@@ -4,9 +4,7 @@ to themselves are in test_readme.py.
 
 import pytest
 
-from tests.stories.pages import OURS, is_in_real_time, make_folder, run_as_typed
-
-pytestmark = pytest.mark.timeout(900)  # some fly trials by two processes, beside another test
+from tests.stories.pages import OURS, make_folder, needs_the_machine, run_as_typed
 
 
 @pytest.fixture
@@ -17,7 +15,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("line", [line for line in OURS if not is_in_real_time(line)])
+@pytest.mark.parametrize("line", [line for line in OURS if not needs_the_machine(line)])
 def test_command_runs(line, folder, capsys):
     """Typed as printed, in a folder with a flight and a log."""
     run_as_typed(line, folder, capsys)
@@ -25,5 +23,5 @@ def test_command_runs(line, folder, capsys):
 
 def test_both_kinds_are_there():
     """Neither file's list may become empty by a change of the other's."""
-    alone = [line for line in OURS if is_in_real_time(line)]
+    alone = [line for line in OURS if needs_the_machine(line)]
     assert len(alone) > 10 and len(OURS) - len(alone) > 25

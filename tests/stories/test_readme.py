@@ -26,8 +26,8 @@ from tests.stories.pages import (
     TABLE,
     commands,
     fenced,
-    is_in_real_time,
     make_folder,
+    needs_the_machine,
     page,
     run_as_typed,
 )
@@ -43,7 +43,7 @@ def figures_of_the_manual():
     return make
 
 
-REAL_TIME = [line for line in OURS if is_in_real_time(line) and " demo " not in line]
+BY_ITSELF = [line for line in OURS if needs_the_machine(line) and " demo " not in line]
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_no_command_escapes():
     ]
 
 
-@pytest.mark.parametrize("line", REAL_TIME)
+@pytest.mark.parametrize("line", BY_ITSELF)
 def test_command_runs(line, folder, capsys):
     """Typed as printed, in a folder with a flight and a log."""
     run_as_typed(line, folder, capsys)
