@@ -31,6 +31,11 @@ TRIES = 20  # draws of an aircraft or a leader before giving up
 GUST_HZ = (0.15, 0.4, 0.9)  # of the three waves of a gust
 TRIMMED = {"L_0": "L_da", "M_0": "M_de", "N_0": "N_dr"}  # a trim bias is a moment
 KEPT = ("delay", "lag", *TRIMMED)  # values that are not multiplied
+MOMENTS = {  # about each axis: the values that are divided by its inertia, but for the trim
+    "roll": ("L_da", "L_beta", "L_p", "L_r"),
+    "pitch": ("M_0", "M_de", "M_alpha", "M_q"),
+    "yaw": ("N_dr", "N_beta", "N_r", "N_p"),
+}
 LEADERS = "random_waypoints"  # the only manoeuvre of training; the others stay unseen
 
 
@@ -39,6 +44,10 @@ class Ranges:
     """Half widths of uniform distributions, unless a text says otherwise."""
 
     coefficients: float = 0.25  # of each of the model's values, as a share
+    # Logarithms of factors: of all moments about one axis (low, high), since small aircraft differ
+    # most in inertia and control surfaces, and of each derivative of a moment (half width).
+    moments: tuple[float, float] = (-0.35, 1.25)
+    derivatives: float = 0.5
     trim: float = 0.08  # moments, in shares of full control
     delay: tuple[float, float] = (0.0, 0.17)  # of the link, low and high [s]
     long_delay: tuple[float, float] = (0.15, 0.23)  # the same, of one flight in five
@@ -57,6 +66,8 @@ class Ranges:
         low, high = (LINK_DELAY_S + share * (end - LINK_DELAY_S) for end in self.delay)
         return replace(
             self, coefficients=share * self.coefficients, trim=share * self.trim,
+            moments=(share * self.moments[0], share * self.moments[1]),
+            derivatives=share * self.derivatives,
             delay=(low, high), long_delay=self.long_delay if share == 1.0 else (low, high),
             mean_wind=share * self.mean_wind, gusts=share * self.gusts,
             mount_angle=share * self.mount_angle,
@@ -66,11 +77,11 @@ class Ranges:
 SPREAD_RANGES = Ranges(graded=True)
 # behind a leader an aircraft is steered harder, and loses it where it is flown late
 FOLLOW_RANGES = replace(
-    SPREAD_RANGES, coefficients=0.15, trim=0.04, delay=(0.0, 0.12), long_delay=(0.12, 0.17),
-    mean_wind=0.6, gusts=0.2, black_s=0.3,
+    SPREAD_RANGES, coefficients=0.15, moments=(0.0, 0.0), derivatives=0.0, trim=0.04,
+    delay=(0.0, 0.12), long_delay=(0.12, 0.17), mean_wind=0.6, gusts=0.2, black_s=0.3,
 )  # fmt: skip
-NOMINAL = Ranges(0.0, 0.0, (LINK_DELAY_S,) * 2, (LINK_DELAY_S,) * 2, 0.0, 0.0, (0.0,) * 3, 0.0,
-                 0.0, 0, 0.0, 0.0)  # fmt: skip
+NOMINAL = Ranges(0.0, (0.0, 0.0), 0.0, 0.0, (LINK_DELAY_S,) * 2, (LINK_DELAY_S,) * 2, 0.0, 0.0,
+                 (0.0,) * 3, 0.0, 0.0, 0, 0.0, 0.0)  # fmt: skip
 
 
 def training_ranges(task: str, nominal: bool) -> Ranges:
@@ -171,9 +182,15 @@ def _draw_model(rng: np.random.Generator, ranges: Ranges) -> Model:
     for name, value in base.values.items():
         share = 0.0 if name in KEPT else rng.uniform(-1.0, 1.0) * ranges.coefficients
         values[name] = value * (1.0 + share)
+    if ranges.derivatives or any(ranges.moments):
+        for names in MOMENTS.values():
+            of_axis = math.exp(rng.uniform(*ranges.moments))
+            for name in names:
+                own = 0.0 if name in TRIMMED else rng.uniform(-1.0, 1.0) * ranges.derivatives
+                values[name] *= of_axis * math.exp(own)
     for moment, control in TRIMMED.items():
         values[moment] = (
-            base.values[moment] * (1.0 + rng.uniform(-1.0, 1.0) * 0.4 * ranges.coefficients)
+            values[moment] * (1.0 + rng.uniform(-1.0, 1.0) * 0.4 * ranges.coefficients)
             + values[control] * rng.uniform(-1.0, 1.0) * ranges.trim
         )
     if ranges.coefficients:

@@ -10,6 +10,7 @@ from falconwing_kit.aircraft.model import rates_model
 from falconwing_kit.control.guidance import Hall
 from falconwing_kit.learning.situations import (
     KEPT,
+    MOMENTS,
     NOMINAL,
     SHARED,
     SPREAD_RANGES,
@@ -42,13 +43,13 @@ def test_the_nominal_situation_is_the_kits_aircraft_in_still_air():
 def test_draws_stay_in_their_ranges_and_fill_them():
     """Over 200 flights, of which four have one aircraft."""
     situations = [landing(seed) for seed in range(200)]
-    kit = rates_model().values
+    kit, about_axes = rates_model().values, {name for row in MOMENTS.values() for name in row}
     shares = np.array(
         [
             [
                 s.model.values[name] / kit[name] - 1.0
                 for name in kit
-                if name not in KEPT and kit[name]
+                if name not in KEPT and kit[name] and name not in about_axes
             ]
             for s in situations
         ]
@@ -65,6 +66,33 @@ def test_draws_stay_in_their_ranges_and_fill_them():
     places = np.array([s.start.p_world for s in situations])
     assert Hall().margin(places).min() > 0.5
     assert len({s.model.values["cL_alpha"] for s in situations}) == 50
+
+
+def test_an_aircraft_of_half_the_inertia_has_twice_the_moments_and_the_same_trim():
+    """Euler's equation: an angular acceleration is moment over inertia, for all moments about an
+    axis; those that balanced still do, and no force changes.
+    """
+    halved = replace(NOMINAL, moments=(math.log(2.0),) * 2)
+    found, kit = landing(3, halved).model.values, rates_model().values
+    rolls_pitches_yaws = {name for name in kit if name[:2] in ("L_", "M_", "N_")}
+    assert rolls_pitches_yaws - {"L_0", "N_0"} == {name for row in MOMENTS.values() for name in row}
+    for name, value in kit.items():
+        assert found[name] == pytest.approx(value * (2.0 if name in rolls_pitches_yaws else 1.0))
+
+
+def test_moments_about_an_axis_share_a_factor_and_derivatives_have_one_of_their_own():
+    """Over 200 aircraft: each axis in its range and over most of it, and each derivative within
+    the other range of that; a moment at rest has the axis's factor alone, or trim would be lost.
+    """
+    ranges = replace(NOMINAL, moments=(-0.35, 1.25), derivatives=0.5)
+    aircraft = [landing(SHARED * seed, ranges).model.values for seed in range(200)]
+    kit = rates_model().values
+    for row in MOMENTS.values():
+        logs = np.log([[values[name] / kit[name] for name in row] for values in aircraft])
+        assert -0.85 - 1e-9 <= logs.min() < -0.6 and 1.5 < logs.max() <= 1.75 + 1e-9
+        assert 0.9 < np.ptp(logs, axis=1).max() <= 1.0 + 1e-9
+    at_rest = np.log([values["M_0"] / kit["M_0"] for values in aircraft])
+    assert -0.35 <= at_rest.min() < -0.25 and 1.15 < at_rest.max() <= 1.25
 
 
 def test_graded_ranges_ease_half_of_the_aircraft():

@@ -67,6 +67,7 @@ class PoseNetConfig:
     heads: int = 5
     stem: str = "conv"
     vit: Path | None = None  # pretrained ViT weights for the stem "patch"
+    start: Path | None = None  # a trained net of the same shape and box to go on from
     images: Path | None = None  # folder of the photos, if not as the poses' file states
     held_out: Path | None = None  # names of the photos for evaluation
     leader: Path | None = None  # a scene of the leader in its body axes
@@ -322,8 +323,10 @@ def _view_source(
 
 
 def _initial_network(job: PoseNetConfig, record: PoseNetRecord, device: str) -> PoseNetwork:
-    """An untrained network, with pretrained ViT weights if given."""
+    """An untrained network, with pretrained ViT weights if given, or the one to go on from."""
     torch.manual_seed(job.plan.seed)
+    if job.start is not None:
+        return _trained_network(job.start, record).to(device)
     shape = PoseNetShape(**record.shape)
     network = PoseNetwork(shape, torch.tensor(record.low), torch.tensor(record.high)).to(device)
     if job.vit is not None and load_vit(network, load_file(require_file(job.vit))) == 0:
@@ -332,6 +335,20 @@ def _initial_network(job: PoseNetConfig, record: PoseNetRecord, device: str) -> 
             "got none that fit; set --features, --heads and --stem patch as in the file"
         )
     return network
+
+
+def _trained_network(path: Path, record: PoseNetRecord) -> PoseNetwork:
+    """The network of a file, after checking that it is of the record's shape, camera and box."""
+    net = PoseNet.load(path)
+    for name in ("shape", "focal", "low", "high"):
+        wanted, found = getattr(record, name), getattr(net.record, name)
+        same = wanted == found if name == "shape" else np.allclose(wanted, found, rtol=1e-3)
+        if not same:
+            raise InputError(
+                f"{short_name(path)}: expected a net of {name} {wanted}, got {found}; "
+                "give the options of its training"
+            )
+    return net.network
 
 
 def _write_sheet(path: Path, world: ViewSource) -> None:

@@ -47,6 +47,8 @@ class TrainPoseNet:
     """a scene of the leader in its body axes, drawn into some views"""
     vit: Path | None = None
     """pretrained ViT weights (.safetensors) for --stem patch"""
+    start: Path | None = None
+    """a trained pose_net.safetensors to go on from, of the same shape and --box"""
     box: tuple[float, float, float, float, float, float] | None = None
     """lower and upper corner x y z x y z of the space to fly in [m]; from the scene if not given"""
     antialiased: bool = False

@@ -1,6 +1,7 @@
 """Pose net training in miniature: files -> net and errors, its command, and what it refuses."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -59,6 +60,33 @@ def test_one_call_leaves_net_figures_and_a_picture(files, tmp_path, monkeypatch)
     assert net.record.sigma_scales == pytest.approx(report["sigma_scales"])
     assert net.estimate(np.zeros((48, 64, 3), np.uint8), CAMERA).sigma_position > 0.0
     assert Image.open(tmp_path / "out" / "views.png").size[0] == 6 * 64
+
+
+def test_a_training_goes_on_from_a_net_and_refuses_one_of_another_hall(
+    files, tmp_path, monkeypatch
+):
+    """With a learning rate of zero nothing is learnt: the weights are those of the net to go on
+    from, and not those that another seed draws.
+    """
+    monkeypatch.setattr(pose_net_training, "JUDGED_RENDERS", 30)
+    paths = files / "hall.npz", files / "aligned"
+    train_pose_net(PoseNetConfig(*paths, tmp_path / "first", **SMALL))
+    first = tmp_path / "first" / "pose_net.safetensors"
+    still = SMALL | {"plan": replace(PLAN, rate=0.0, seed=9), "start": first}
+    train_pose_net(PoseNetConfig(*paths, tmp_path / "second", **still))
+    before, after = (
+        dict(PoseNet.load(path).network.named_parameters())
+        for path in (first, tmp_path / "second" / "pose_net.safetensors")
+    )
+    for name, weights in before.items():
+        # both are saved in half precision
+        assert np.allclose(weights.detach(), after[name].detach(), rtol=2e-3, atol=1e-6), name
+    for change, word in (
+        ({"features": 32}, "shape"),
+        ({"box": (*LOW, *np.add(HIGH, 1.0))}, "high"),
+    ):
+        with pytest.raises(InputError, match=f"expected a net of {word}"):
+            train_pose_net(PoseNetConfig(*paths, tmp_path / "third", **(still | change)))
 
 
 def test_held_out_photos_can_be_named(files, tmp_path):
