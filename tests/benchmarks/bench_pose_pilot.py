@@ -24,7 +24,7 @@ from falconwing_kit.scene.analog import scene_link
 from falconwing_kit.tools.trials.trials import TrialSettings, fly_trial, summarise_trials
 from tests.benchmarks.bench_rollouts import machine
 
-pytestmark = pytest.mark.benchmark
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1200)]
 Degrade = Callable[[ImageSource, int], ImageSource]
 LIST = 0  # of the frozen starts
 
