@@ -36,6 +36,7 @@ from falconwing_kit.vision.pose_network import (
 )
 
 STATE = "training.safetensors"
+SHARES = ("photo_share", "near_share", "leader_share", "approach_share")  # of the training views
 WARMUP = 0.03  # share of the training over which the learning rate rises
 COOLDOWN = 0.01  # share of the learning rate at the end
 POINTS_WEIGHT, FUSED_WEIGHT = 1.0, 0.5  # of the losses, relative to the pose token's
@@ -181,6 +182,7 @@ class PoseNetTrainer:
         world: source of views.
         plan: length and hyperparameters.
         folder: for the state of an interrupted training; None saves none.
+        start: what the network's weights are; a state that began from others is refused.
     """
 
     def __init__(
@@ -189,6 +191,7 @@ class PoseNetTrainer:
         world: ViewSource,
         plan: TrainSchedule,
         folder: Path | None = None,
+        start: str = "",
     ) -> None:
         self.network, self.world, self.plan, self.folder = network, world, plan, folder
         self.average = deepcopy(network)
@@ -197,7 +200,9 @@ class PoseNetTrainer:
             network.parameters(), lr=plan.rate, weight_decay=plan.decay, betas=(0.9, 0.98)
         )
         self.step, self.seconds = 0, 0.0
-        self.settings = json.dumps([asdict(plan), asdict(network.shape)])
+        views = {name: getattr(world, name) for name in SHARES}
+        views |= {"box": np.array([world.low, world.high]).tolist()}
+        self.settings = json.dumps([asdict(plan), asdict(network.shape), views, start])
 
     @property
     def progress(self) -> float:

@@ -69,8 +69,8 @@ class Ranges:
         return replace(
             self, coefficients=share * self.coefficients, trim=share * self.trim,
             moments=(share * self.moments[0], share * self.moments[1]),
-            derivatives=share * self.derivatives, mean_wind=share * self.mean_wind, gusts=share * self.gusts,
-            mount_angle=share * self.mount_angle,
+            derivatives=share * self.derivatives, mean_wind=share * self.mean_wind,
+            gusts=share * self.gusts, mount_angle=share * self.mount_angle,
         )  # fmt: skip
 
 

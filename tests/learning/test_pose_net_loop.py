@@ -189,13 +189,17 @@ def test_an_interrupted_training_goes_on(tmp_path, monkeypatch):
     )
 
 
-def test_another_plan_and_a_damaged_state_are_refused(tmp_path):
-    """A kept state is of one plan and one network."""
+def test_another_training_and_a_damaged_state_are_refused(tmp_path):
+    """A kept state is of one plan, one kind of views and the weights that it began from."""
     PoseNetTrainer(network(), world(), QUICK, tmp_path).run()
-    with pytest.raises(InputError, match="expected the settings"):
-        PoseNetTrainer(
-            network(), world(), TrainSchedule(steps=7, batch=4, fresh=2, pool=20, first=4), tmp_path
-        ).run()
+    for views, plan, start in (
+        (world(), TrainSchedule(steps=7, batch=4, fresh=2, pool=20, first=4), ""),
+        (world(near_share=0.2), QUICK, ""),
+        (world(high=HIGH + 1.0), QUICK, ""),
+        (world(), QUICK, "other weights"),
+    ):
+        with pytest.raises(InputError, match="expected the settings"):
+            PoseNetTrainer(network(), views, plan, tmp_path, start).run()
     (tmp_path / STATE).write_bytes((tmp_path / STATE).read_bytes()[:1000])
     with pytest.raises(InputError, match="damaged"):
         PoseNetTrainer(network(), world(), QUICK, tmp_path).run()

@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from falconwing_kit.aircraft.model import rates_model
+from falconwing_kit.aircraft.trim import trim
 from falconwing_kit.control.guidance import Hall
+from falconwing_kit.control.loops import SPEED
+from falconwing_kit.core.frames import rotation_world_body
+from falconwing_kit.core.messages import State
 from falconwing_kit.learning.situations import (
     KEPT,
     MOMENTS,
@@ -96,6 +100,28 @@ def test_moments_about_an_axis_share_a_factor_and_derivatives_have_one_of_their_
     assert -0.35 <= at_rest.min() < -0.25 and 1.15 < at_rest.max() <= 1.25
 
 
+def test_starts_move_with_any_share_of_the_wind():
+    """A start's velocity is s R v - u w: v of the trimmed flight in the wind w, turned with the
+    nose, s of its speed, u uniform in 0 to 1. Three equations for s and u, so one is left to check.
+    """
+    ranges, shares = replace(NOMINAL, mean_wind=1.2), []
+    for seed in range(0, 400, SHARED):
+        situation = landing(seed, ranges)
+        model, start = situation.known_model, situation.start
+        wind = np.array([model.values["mean_wind_x"], model.values["mean_wind_y"], 0.0])
+        steady = State.from_vector(trim(model, SPEED).state)
+        R_steady = rotation_world_body(0.0, steady.pitch, 0.0)
+        R_start = rotation_world_body(start.roll, start.pitch, start.yaw)
+        turned = R_start @ R_steady.T @ steady.v_world
+        A = np.column_stack([turned, -wind])
+        (speed, share), *_ = np.linalg.lstsq(A, start.v_world)
+        assert A @ (speed, share) == pytest.approx(start.v_world, abs=1e-6)
+        assert 0.8 < speed < 1.2 and -1e-6 < share < 1.0 + 1e-6
+        shares.append(share)
+    assert np.mean(shares) == pytest.approx(0.5, abs=3.0 / math.sqrt(12 * len(shares)))
+    assert min(shares) < 0.1 and max(shares) > 0.9
+
+
 def test_graded_ranges_ease_half_of_the_aircraft():
     """Of a wind uniform in 0 to s W, s = 1 for half of them and uniform in 0 to 1 for the others,
     a share of 1/4 + (1 - ln 2) / 4 = 0.327 is over W / 2; without grades it is half of them.
@@ -109,11 +135,12 @@ def test_graded_ranges_ease_half_of_the_aircraft():
 
 
 def test_eased_to_nothing_is_the_kits_aircraft_and_eased_by_one_is_unchanged():
-    """The aircraft, its air and its link; not the camera's place, which the pilot is told."""
+    """The aircraft and its air; not the camera's place, which the pilot is told, nor its link."""
     easy = SPREAD_RANGES.eased(0.0)
-    names = ("coefficients", "trim", "delay", "long_delay", "mean_wind", "gusts", "mount_angle")
+    names = ("coefficients", "moments", "derivatives", "trim", "mean_wind", "gusts", "mount_angle")
     assert all(getattr(easy, name) == getattr(NOMINAL, name) for name in names)
-    assert easy.mount == SPREAD_RANGES.mount
+    kept = ("mount", "delay", "long_delay")
+    assert all(getattr(easy, name) == getattr(SPREAD_RANGES, name) for name in kept)
     assert SPREAD_RANGES.eased(1.0) == SPREAD_RANGES
 
 

@@ -9,6 +9,7 @@ Photos are split by position: some are held out for evaluation, some are set asi
 stated uncertainty, and the rest may be used for training beside the renders.
 """
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -106,7 +107,8 @@ def train_pose_net(
     network = _initial_network(job, record, device)
     job.out.mkdir(parents=True, exist_ok=True)
     _write_sheet(job.out / "views.png", world)
-    trainer = PoseNetTrainer(network, world, job.plan, job.out)
+    start = hashlib.sha256(job.start.read_bytes()).hexdigest()[:16] if job.start else ""
+    trainer = PoseNetTrainer(network, world, job.plan, job.out, start)
     network = trainer.run(lambda losses: report_line(_progress_line(trainer, losses))).to("cpu")
     path = job.out / "pose_net.safetensors"
     PoseNet(network, record).save(path)
