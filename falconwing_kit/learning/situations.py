@@ -225,7 +225,7 @@ def _landing_start(rng: np.random.Generator, model: Model, ranges: Ranges) -> St
 def _without_some_wind(rng: np.random.Generator, start: State, model: Model) -> State:
     """A start that moves with a share of the air only, 0 to 1, and so begins with sideslip.
 
-    Where every start moves with the air, its first two images tell the wind, and a policy learns to
+    Where every start moves with the air, its first two images show the wind, and a policy learns to
     look at nothing else: where a start does not, it drifts downwind to the end.
     """
     wind = np.array([model.values["mean_wind_x"], model.values["mean_wind_y"], 0.0])
