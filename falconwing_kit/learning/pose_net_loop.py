@@ -182,7 +182,7 @@ class PoseNetTrainer:
         world: source of views.
         plan: length and hyperparameters.
         folder: for the state of an interrupted training; None saves none.
-        start: what the network's weights are; a state that began from others is refused.
+        start: names the weights the network begins from; a state of others is refused.
     """
 
     def __init__(
