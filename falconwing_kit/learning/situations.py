@@ -223,13 +223,14 @@ def _landing_start(rng: np.random.Generator, model: Model, ranges: Ranges) -> St
 
 
 def _without_some_wind(rng: np.random.Generator, start: State, model: Model) -> State:
-    """A start that moves with a share of the air only, 0 to 1, and so begins with sideslip.
+    """A start that moves with a share of the air only, and so begins with sideslip.
 
     Where every start moves with the air, its first two images show the wind, and a policy learns to
-    look at nothing else: where a start does not, it drifts downwind to the end.
+    look at nothing else: where a start does not, it drifts downwind to the end. A quarter of the
+    starts moves with all of the wind, a quarter with none of it.
     """
     wind = np.array([model.values["mean_wind_x"], model.values["mean_wind_y"], 0.0])
-    return replace(start, v_world=start.v_world - rng.uniform() * wind)
+    return replace(start, v_world=start.v_world - np.clip(rng.uniform(-0.5, 1.5), 0.0, 1.0) * wind)
 
 
 @lru_cache(maxsize=8)
