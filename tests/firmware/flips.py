@@ -137,7 +137,7 @@ def in_fork(host: Host, scene: str, place: str, address: int, bit: int) -> Flip:
     with os.fdopen(reader, "rb") as pipe:
         answer = pipe.read()
     os.waitpid(child, 0)
-    if not answer:  # counts as no pulses for ever, though a chip would restart
+    if not answer:  # what a chip would do is not known
         t = host.board.t
         return Flip(scene, place, address, bit, t, False, False, math.inf, SIMULATOR_FAILED, 0)
     return Flip(**json.loads(answer))
