@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
 from typing import Any
@@ -199,6 +200,7 @@ class GaussianScene:
         )
 
 
+@cache  # a search through all installed packages
 def _more_readers() -> EntryPoints:
     """Readers offered by installed packages; the kit's toolbox offers .splat, .spz and .sog."""
     return entry_points(group="falconwing_kit.scene_readers")
@@ -206,8 +208,10 @@ def _more_readers() -> EntryPoints:
 
 def _reader(suffix: str) -> Callable[[Path], dict[str, Any]] | None:
     """The function that reads files with this ending; None if there is none."""
-    offered = next((point.load for point in _more_readers() if point.name == suffix), lambda: None)
-    return READERS.get(suffix) or offered()
+    if suffix in READERS:
+        return READERS[suffix]
+    offered = (point for point in _more_readers() if point.name == suffix)
+    return next((point.load() for point in offered), None)
 
 
 def _require_floats(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array32:
