@@ -10,9 +10,9 @@ SMALLEST_DEVIATION = 0.02  # an image with less contrast is not amplified
 
 def standardise(image: Array32) -> Array32:
     """An image (h, w, C) with mean 0 and standard deviation 1 over its colours; a mask stays."""
-    colours = image[..., :3] if image.shape[-1] >= 3 else image[..., :0]
-    if colours.size == 0:
+    if image.shape[-1] < 3:
         return image
+    colours = np.ascontiguousarray(image[..., :3])
     deviation = max(float(colours.std()), SMALLEST_DEVIATION)
     scaled = (colours - colours.mean()) / np.float32(deviation)
     return np.concatenate([scaled, image[..., 3:]], axis=-1)
@@ -21,29 +21,40 @@ def standardise(image: Array32) -> Array32:
 def convolve(x: Array32, weight: Array32, stride: int) -> Array32:
     """Cross-correlation with zeros around, as in PyTorch: (C, h, w) -> (D, h / s, w / s).
 
-    The windows become the columns of a matrix, so that one matrix product does the work (im2col);
-    its rows are the image shifted by each place of a window.
+    One matrix product does the work, of the image shifted by each place of a window, or, where that
+    is smaller, of the image itself, and the products are shifted.
 
     Args:
         x: (C, h, w).
         weight: (D, C, k, k), k odd.
         stride: s.
     """
-    (channels, rows, columns), k = x.shape, weight.shape[-1]
+    (channels, rows, columns), (filters, _, k, _) = x.shape, weight.shape
     if k > 1:
         x = np.pad(x, ((0, 0), (k // 2, k // 2), (k // 2, k // 2)))
     rows, columns = (rows - 1) // stride + 1, (columns - 1) // stride + 1
-    matrix = np.empty((channels, k, k, rows, columns), np.result_type(x, weight))
-    for i in range(k):
-        for j in range(k):
-            matrix[:, i, j] = x[:, i::stride, j::stride][:, :rows, :columns]
-    product = weight.reshape(len(weight), -1) @ matrix.reshape(-1, rows * columns)
+    places = [(i, j) for i in range(k) for j in range(k)]
+    kind = np.result_type(x, weight)
+    if stride == 1 and filters < channels:
+        flat = weight.transpose(2, 3, 0, 1).reshape(-1, channels)
+        products = (flat @ x.reshape(channels, -1)).reshape(k, k, filters, *x.shape[1:])
+        total = np.zeros((filters, rows, columns), kind)
+        for i, j in places:
+            total += products[i, j, :, i : i + rows, j : j + columns]
+        return total
+    matrix = np.empty((channels, k, k, rows, columns), kind)  # im2col
+    for i, j in places:
+        matrix[:, i, j] = x[:, i::stride, j::stride][:, :rows, :columns]
+    product = weight.reshape(filters, -1) @ matrix.reshape(-1, rows * columns)
     return np.asarray(product).reshape(-1, rows, columns)
 
 
 def double(x: Array32, rows: int, columns: int) -> Array32:
     """(C, h, w) with each pixel four times, cut to (C, rows, columns)."""
-    return x.repeat(2, axis=1).repeat(2, axis=2)[:, :rows, :columns]
+    doubled = np.empty((len(x), 2 * x.shape[1], 2 * x.shape[2]), x.dtype)
+    doubled[:, ::2, ::2] = doubled[:, ::2, 1::2] = x
+    doubled[:, 1::2] = doubled[:, ::2]
+    return doubled[:, :rows, :columns]
 
 
 def layer_norm(x: Array32, smallest: float = 1e-5) -> Array32:

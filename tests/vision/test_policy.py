@@ -41,11 +41,12 @@ def policy_of(shape, rng, task="landing"):
     return Policy(weights, PolicyRecord(asdict(shape), task, 0.62)), weights
 
 
-@pytest.mark.parametrize(("kernel", "stride"), [(1, 1), (3, 1), (3, 2), (5, 2)])
-def test_a_convolution_is_pytorchs(rng, kernel, stride):
+@pytest.mark.parametrize("filters", [2, 5])  # fewer than channels, and more
+@pytest.mark.parametrize(("kernel", "stride"), [(1, 1), (3, 1), (5, 1), (3, 2), (5, 2)])
+def test_a_convolution_is_pytorchs(rng, kernel, stride, filters):
     """Against torch.nn.functional, on odd and even sides."""
     x = rng.normal(size=(3, 15, 22)).astype(np.float32)
-    weight = rng.normal(size=(5, 3, kernel, kernel)).astype(np.float32)
+    weight = rng.normal(size=(filters, 3, kernel, kernel)).astype(np.float32)
     expected = torch.nn.functional.conv2d(
         torch.tensor(x)[None], torch.tensor(weight), stride=stride, padding=kernel // 2
     )[0]
