@@ -200,7 +200,7 @@ class PoseNet:
         import torch
 
         image = require_image(image, camera, rgb=True, min_side_px=32)
-        with torch.inference_mode():
+        with torch.no_grad():
             return self.network(self.resample(torch.from_numpy(image)[None], camera))
 
     def resample(self, images: "Tensor", camera: PinholeCamera) -> "Tensor":
@@ -230,7 +230,7 @@ class PoseNet:
         from falconwing_kit.vision.pose_network import fuse_pose
 
         rays = torch.from_numpy(self._rays).float()
-        with torch.inference_mode():
+        with torch.no_grad():
             R, position, information = fuse_pose(output, rays, self.network.log_trust)
         scale = np.repeat(self.record.sigma_scales, 3)
         covariances = torch.linalg.inv(information.double()).numpy() * scale * scale[:, None]

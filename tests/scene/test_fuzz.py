@@ -1,12 +1,11 @@
 """Fuzzing: 10,800 damaged scenes go through the readers; each is read or refused in one sentence,
-in little memory. The environment variable FUZZ_FILES sets how many of each kind.
+in little memory.
 
 Damage outside hits the file as it lies on the disk, where checksums catch most of it. Damage inside
 hits the content, and the file is packed again with checksums that fit: what a broken program
 writes, or a hostile one.
 """
 
-import os
 import tracemalloc
 import zipfile
 from collections import Counter
@@ -21,7 +20,7 @@ from tests.core.test_fuzz import mutate
 from tests.scene.packing import compressed_ply, gzipped, plain_ply, sog_files, spz_payload, zipped
 from tests.scene.test_gaussians import fields
 
-FILES = int(os.environ.get("FUZZ_FILES", "1200"))  # of each of the nine kinds
+FILES = 1200  # of each of the nine kinds
 # Readers may unpack a megabyte unasked, which is some 50,000 Gaussians of 200 to 400 bytes while
 # they are put together.
 BYTES_PER_FILE_BYTE, BYTES_AT_LEAST = 100, 24 * 1024**2

@@ -3,7 +3,6 @@ good as without.
 """
 
 import json
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -173,24 +172,23 @@ def test_an_unknown_board_is_refused():
         simulated_board("/dev/ttyACM0")
 
 
-@pytest.mark.timeout(900)  # a second of CPU for each, more on a busy machine
-@pytest.mark.parametrize("count", [40, pytest.param(100, marks=pytest.mark.benchmark)])
-def test_landings_through_the_firmware_are_as_good_as_without(count):
+@pytest.mark.timeout(900)  # 100 s of CPU, more on a busy machine
+def test_a_hundred_landings_through_the_firmware_are_as_good_as_without():
     """The issue's figures: every one on the pad, within 10 cm on average, and no worse than flown
     without the port.
 
-    Two means over the same starts differ by chance by at most three of the paired differences'
-    standard errors.
+    Two means over the same hundred starts differ by chance by at most three of the paired
+    differences' standard errors.
     """
     require_tools()
-    task, setting = LandingTask(), TrialSettings(port="sim")
-    through = fly_trials(task, task.expert, count, pilot="expert", setting=setting)
-    without = fly_trials(task, task.expert, count, pilot="expert")
+    task = LandingTask()
+    through = fly_trials(task, task.expert, 100, pilot="expert", setting=TrialSettings(port="sim"))
+    without = fly_trials(task, task.expert, 100, pilot="expert")
     found = summarise_trials(through)
-    assert found["successes"] == count
+    assert found["successes"] == 100
     assert found["ald_m"]["mean"] <= 0.10
     worse = np.array([a["ald_m"] - b["ald_m"] for a, b in zip(through, without, strict=True)])
-    assert worse.mean() < 3.0 * worse.std(ddof=1) / math.sqrt(count)
+    assert worse.mean() < 3.0 * worse.std(ddof=1) / 10.0
     assert sum(record["port"]["commands_dropped"] for record in through) == 0
     print(
         f"ALD {100 * found['ald_m']['mean']:.1f} cm, without the port "
