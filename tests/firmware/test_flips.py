@@ -15,7 +15,6 @@ from tests.firmware.chip import SAFE, Bench, ProbedBoard, is_safe, require_tools
 from tests.firmware.flips import (
     BACK_S,
     FLOWN,
-    SIMULATOR_FAILED,
     Host,
     fly_flips,
     read_frames,
@@ -41,16 +40,11 @@ def address_of(name: str) -> int:
 def test_of_500_flipped_bits_none_engages_or_moves_the_aircraft():
     """The issue's bounds; 99.9 % of 500 allows none without pulses for more than 300 ms. Ten
     thousand are tests/benchmarks/bench_firmware_flips.py.
-
-    Where a flip sends the program to an address of nowhere, libsimavr may crash, or not, by where
-    its own memory lies in that run: such a flip is undecided, and there may be two.
     """
     require_tools()
     flips = fly_flips(FLIPS, SEED)
     assert len(flips) == FLIPS
-    decided = [f for f in flips if f.state != SIMULATOR_FAILED]
-    assert len(decided) >= FLIPS - 2, table(flips)
-    bad = [f for f in decided if f.engaged or f.moved or f.without_s > BACK_S]
+    bad = [f for f in flips if f.engaged or f.moved or f.without_s > BACK_S]
     assert not bad, f"{table(flips)}\n{bad}"
     assert sum(f.state == "FAULT" for f in flips) > 5, "some flips must hit the sealed object"
 
