@@ -39,6 +39,8 @@ WARMUP = 0.02  # share of the training over which the learning rate rises
 HUBER = 0.05  # error of a command or a state beyond which the loss is linear
 FINDER = "leader_mask"  # in the file of an interrupted training; no pilot has this name
 MASK_EVERY = 4  # one image of so many trains the masks
+# channels of colours and mask that a policy sees of these
+ALONE = {"rgb": slice(CHANNELS["rgb"]), "mask": slice(CHANNELS["rgb"], CHANNELS["rgb_mask"])}
 
 
 @dataclass(frozen=True)
@@ -253,14 +255,15 @@ class Learner:
     def start_from(self, policy: Policy) -> None:
         """Begin from a trained policy's weights, those of its masks too.
 
-        A policy that sees colours alone may begin from one that sees masks beside them.
+        A policy that sees colours or masks alone may begin from one that sees both.
 
         Raises:
             InputError: it is of another shape.
         """
         weights, sees = dict(policy.weights), policy.shape.sees
-        if self.shape.sees == "rgb" and sees == "rgb_mask":
-            weights["conv0.weight"], sees = weights["conv0.weight"][:, : CHANNELS["rgb"]], "rgb"
+        if sees == "rgb_mask" and self.shape.sees in ALONE:
+            weights["conv0.weight"] = weights["conv0.weight"][:, ALONE[self.shape.sees]]
+            sees = self.shape.sees
         if replace(policy.shape, sees=sees) != self.shape:
             raise InputError(
                 f"{self.name}: expected weights of a network of this shape, got another (image,"

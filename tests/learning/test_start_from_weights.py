@@ -7,6 +7,7 @@ import torch
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.flight.sources import fpv_camera
 from falconwing_kit.learning.learner import Learner, MaskLearner, Schedule, save_policy
+from falconwing_kit.tools.trials.train_policy import make_learners
 from falconwing_kit.vision.leader_mask import leader_mask
 from falconwing_kit.vision.policy import Policy, PolicyShape
 
@@ -82,3 +83,27 @@ def test_colours_alone_begin_from_the_weights_of_colours_and_masks(saved):
     np.testing.assert_allclose(
         made.average.encode(images).detach(), both.average.encode(none).detach(), atol=1e-5
     )
+
+
+def test_masks_alone_begin_from_the_weights_of_colours_and_masks(saved):
+    """In a grey image, whose colours say nothing, both compute the same."""
+    made = learner(4, sees="mask")
+    made.start_from(saved)
+    both = learner(4)
+    both.start_from(saved)
+    masks = torch.from_numpy(np.random.default_rng(1).random((3, 1, 24, 32), np.float32))
+    seen = torch.cat([torch.full((3, 3, 24, 32), 0.5), masks], dim=1)
+    np.testing.assert_allclose(
+        made.average.encode(masks).detach(), both.average.encode(seen).detach(), atol=1e-5
+    )
+    images = torch.from_numpy(np.random.default_rng(2).random((2, 3, 24, 32), np.float32))
+    assert torch.equal(made.masks.find(images), both.masks.find(images))
+
+
+@pytest.mark.parametrize("name", ["student", "rgb", "mask", "rgb_mask"])
+def test_learners_without_a_memory_read_the_past_30_commands(name):
+    """As the paper's policies do; with a memory, the last three."""
+    for memory, commands in ((False, 30), (True, 3)):
+        (made,) = make_learners([name], "follow", CAMERA, Schedule(), "cpu", memory=memory)
+        assert bool(made.shape.memory) is memory and made.shape.history == commands
+        assert made.shape.sees == ("rgb" if name == "student" else name)

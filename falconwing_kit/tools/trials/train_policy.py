@@ -65,7 +65,9 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
     goes_on = bool(rounds) and state.is_file()
     if goes_on or options.start:
         schedule = replace(schedule, mixing=())
-    learners = make_learners(options.pilots, options.task, camera, schedule, device)
+    learners = make_learners(
+        options.pilots, options.task, camera, schedule, device, memory=options.memory
+    )
     if goes_on:
         load_state(learners, state)
         for learner in learners:
@@ -109,19 +111,17 @@ def train_policy(options: "Train", device: str) -> list[dict[str, float]]:
 
 
 def make_learners(
-    names: Sequence[str], task: str, camera: PinholeCamera, schedule: Schedule, device: str
-) -> list[Learner]:
+    names: Sequence[str], task: str, camera: PinholeCamera, schedule: Schedule, device: str,
+    *, memory: bool = True,
+) -> list[Learner]:  # fmt: skip
     """Fresh learners of pilots by their names; those that see masks share one network for them."""
     base = PolicyShape(camera.width, camera.height)
+    if not memory:  # as the paper's policies: one image and the past 30 commands
+        base = replace(base, memory=0, history=PAST)
     masks = MaskLearner(schedule, device) if task == "follow" else None
     learners = []
     for name in names:
-        sees = name
-        if name == "student":
-            sees = "rgb_mask" if task == "follow" else "rgb"
-        shape = replace(base, sees=sees)
-        if sees == "mask":  # as the paper's policies: one image and the past 30 commands, no memory
-            shape = replace(shape, memory=0, history=PAST)
+        shape = replace(base, sees="rgb" if name == "student" else name)
         finder = None if shape.sees == "rgb" else masks
         learners.append(Learner(shape, schedule, device, name, finder))
     return learners
