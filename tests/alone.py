@@ -92,6 +92,7 @@ def keep_apart() -> tempfile.TemporaryDirectory[str] | None:
         prefix=f"falconwing_numba_{worker}_", ignore_cleanup_errors=True
     )
     os.environ.update(
-        {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_CACHE_DIR": folder.name}
+        {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+        | {"NUMBA_CACHE_DIR": folder.name}
     )
     return folder

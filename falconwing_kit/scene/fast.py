@@ -17,13 +17,12 @@ gsplat 1.5, "classic".
 """
 
 import math
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import config, njit
 from numpy.typing import ArrayLike, NDArray
 
 from falconwing_kit.core.checks import require_range, require_shape
@@ -88,7 +87,8 @@ def render_fast(
         background: (3,) red, green, blue 0..1 behind everything.
         antialiased: lower the opacity of splats smaller than a pixel by what BLUR adds to their
             area.
-        threads: None for the number of cores; it changes no bit of the image.
+        threads: None for the cores of this process, or the environment variable NUMBA_NUM_THREADS;
+            it changes no bit of the image.
 
     Returns:
         rgb (H, W, 3), alpha (H, W) and depth (H, W) [m], 0 where alpha is 0; all float32. The depth
@@ -97,7 +97,9 @@ def render_fast(
     pose = require_shape("T_world_camera", T_world_camera, (4, 4))
     behind = require_shape("background", background, (3,)).astype(np.float32)
     scenes = (scene,) if isinstance(scene, GaussianScene) else tuple(scene)
-    cores = (os.cpu_count() or 1) if threads is None else threads
+    cores = threads
+    if cores is None:
+        cores = config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     workers = min(int(require_range("threads", cores, low=1, high=1024)), WORK_PARTS)
     with ThreadPoolExecutor(workers) as pool:
 

@@ -1,6 +1,7 @@
 """Pool of processes that may be killed: items -> results; items of a lost process are repeated."""
 
 import multiprocessing
+import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -10,6 +11,7 @@ from typing import Any, TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 MAX_ATTEMPTS = 3  # for an item whose process is lost each time
+THREADS = "NUMBA_NUM_THREADS"  # what the renderer takes; numba's own variable
 
 
 class WorkerLostError(RuntimeError):
@@ -21,7 +23,9 @@ def map_in_processes(
 ) -> Iterator[tuple[Item, Result | WorkerLostError]]:
     """Each item with its result, in the order of completion, computed in several processes.
 
-    A WorkerLostError replaces the result of an item after MAX_ATTEMPTS lost processes.
+    A WorkerLostError replaces the result of an item after MAX_ATTEMPTS lost processes. The
+    processes share the cores: each draws images with as many threads as it has cores, unless
+    NUMBA_NUM_THREADS is set.
 
     Args:
         function: can be pickled; its result depends on the item only.
@@ -35,7 +39,8 @@ def map_in_processes(
         yield from ((item, function(item)) for item in items)
         return
     queue = deque((item, 1) for item in items)
-    pool = [_Worker(function) for _ in range(min(workers, len(items)))]
+    count = min(workers, len(items))
+    pool = [_Worker(function, max(cores() // max(count, 1), 1)) for _ in range(count)]
     try:
         while queue or any(worker.assignment for worker in pool):
             for worker in pool:
@@ -63,8 +68,8 @@ def map_in_processes(
 class _Worker:
     """One process and its assignment: nothing, or one item with the number of its attempts."""
 
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self.function = function
+    def __init__(self, function: Callable[[Any], Any], threads: int) -> None:
+        self.function, self.threads = function, threads
         self.start()
 
     def start(self) -> None:
@@ -72,7 +77,13 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self.pipe, child_pipe = context.Pipe()
         self.process = context.Process(target=_serve, args=(child_pipe, self.function), daemon=True)
-        self.process.start()
+        is_own = THREADS not in os.environ
+        os.environ.setdefault(THREADS, str(self.threads))  # read by numba as the process imports it
+        try:
+            self.process.start()
+        finally:
+            if is_own:
+                del os.environ[THREADS]
         child_pipe.close()  # so that the end of the process closes the pipe
 
     def assign(self, item: Any, attempts: int) -> None:
@@ -93,6 +104,11 @@ class _Worker:
         self.pipe.close()
         self.process.kill()
         self.process.join()
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _wait_for_results(pool: list[_Worker]) -> list[_Worker]:

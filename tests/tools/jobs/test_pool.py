@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from falconwing_kit.tools.jobs import pool
 from falconwing_kit.tools.jobs.pool import WorkerLostError, map_in_processes
 
 
@@ -49,6 +50,24 @@ def test_errors_come_out(function):
     """An error of the function is the caller's to see, an OSError too: it is not a lost process."""
     with pytest.raises((ValueError, FileNotFoundError), match="no 1"):
         list(map_in_processes(function, [1, 1], 2))
+
+
+def renderer_threads(_):
+    from numba import config
+
+    return config.NUMBA_NUM_THREADS
+
+
+@pytest.mark.parametrize(("available", "each"), [(8, 4), (3, 1), (1, 1)])
+def test_processes_share_the_cores(monkeypatch, available, each):
+    """By hand: two processes with half of the cores each, at least one; ours keeps what it has."""
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    monkeypatch.setattr(pool, "cores", lambda: available)
+    assert dict(map_in_processes(renderer_threads, [0, 1], 2)) == {0: each, 1: each}
+    assert "NUMBA_NUM_THREADS" not in os.environ
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
+    assert dict(map_in_processes(renderer_threads, [0, 1], 2)) == {0: 3, 1: 3}
+    assert os.environ["NUMBA_NUM_THREADS"] == "3"
 
 
 def test_lost_work_is_taken_up_again(tmp_path):
