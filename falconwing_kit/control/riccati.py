@@ -1,6 +1,7 @@
 """Riccati: a discrete linear system and its weights -> the covariance or cost and the LQR gain.
 
-python-control solves it; where that is not installed, as in a browser's Python, SciPy does.
+SciPy solves the equation, as it does for python-control's `dlqr` and `dlqe`; importing that library
+would delay the start of every flight.
 """
 
 import numpy as np
@@ -22,12 +23,8 @@ def lqr_gain(A: Array, B: Array, Q: Array, R: Array) -> Array:
     Raises:
         LinAlgError, ValueError: no gain stabilises the system.
     """
-    try:
-        import control
-    except ModuleNotFoundError:
-        P = riccati_solution(A, B, Q, R)
-        return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A), np.float64)
-    return np.asarray(control.dlqr(A, B, Q, R)[0], np.float64)
+    P = riccati_solution(A, B, Q, R)
+    return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A), np.float64)
 
 
 def predicted_covariance(A: Array, C: Array, Q: Array, R: Array) -> Array:
@@ -41,11 +38,7 @@ def predicted_covariance(A: Array, C: Array, Q: Array, R: Array) -> Array:
         Q: (n, n) covariance of the process noise.
         R: (p, p) of the measurement's.
     """
-    try:
-        import control
-    except ModuleNotFoundError:
-        return riccati_solution(A.T, C.T, Q, R)
-    return np.asarray(control.dlqe(A, np.eye(len(A)), C, Q, R)[1], np.float64)
+    return riccati_solution(A.T, C.T, Q, R)
 
 
 def riccati_solution(A: Array, B: Array, Q: Array, R: Array) -> Array:

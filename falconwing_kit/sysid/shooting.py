@@ -202,6 +202,8 @@ def predict(
     for a in range(0, n_windows, width):
         part = slice(a, a + width)
         x = np.ascontiguousarray(initial_states[:, :, part])  # (n_states, C, chunk)
+        # NumPy multiplies arrays of one shape in less time than it broadcasts (C, 1)
+        full = K._make(np.broadcast_to(v, x.shape[1:]).copy() if np.ndim(v) else v for v in K)
         poses[0, :, :, part] = x[POSE_ROWS]
         for k in range(len(steps)):
             # (2, 4, A, chunk), or (2, 4, C, chunk) with the variant of each column picked.
@@ -210,7 +212,7 @@ def predict(
                 if variant_index is None
                 else actuator_positions[k, ..., part][:, :, variant_index]
             )
-            x = step_batch(rates, K, begin[k, part], x, mean, steps[k, part], slope)
+            x = step_batch(rates, full, begin[k, part], x, mean, steps[k, part], slope)
             if (k + 1) % windows.substeps == 0:
                 poses[(k + 1) // windows.substeps, :, :, part] = x[POSE_ROWS]
     # Measurement maps take channels first: (6, L, C, W), against which K's fields (C, 1) broadcast.

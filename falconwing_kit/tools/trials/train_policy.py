@@ -121,7 +121,10 @@ def make_learners(
     masks = MaskLearner(schedule, device) if task == "follow" else None
     learners = []
     for name in names:
-        shape = replace(base, sees="rgb" if name == "student" else name)
+        sees = name
+        if name == "student":
+            sees = "rgb_mask" if task == "follow" else "rgb"
+        shape = replace(base, sees=sees)
         finder = None if shape.sees == "rgb" else masks
         learners.append(Learner(shape, schedule, device, name, finder))
     return learners
