@@ -8,6 +8,7 @@ from falconwing_kit.learning.datasets import Dataset
 from falconwing_kit.scene import load_scene
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.tools.trials import collect_dataset
+from falconwing_kit.vision.policy import Policy
 
 
 @pytest.fixture(scope="module")
@@ -107,16 +108,17 @@ def test_rounds_may_be_none_only_with_a_dataset(tmp_path, capsys):
     assert "--rounds: expected a finite number in [1, 10000], got 0" in capsys.readouterr().err
 
 
-def test_cloning_comes_before_the_rounds(words, folder, tmp_path):
+@pytest.mark.parametrize("memory", [True, False])
+def test_cloning_comes_before_the_rounds(words, folder, tmp_path, memory):
     """Two steps on the dataset, then a round in which the policy flies: its own images follow."""
     words = ["train", "--data", str(folder), "--size", "24x16", "--steps", "2", "--rounds", "1",
              "--minutes", "0.02", "--flights", "2", "--batch", "2", "--nominal", "--scene",
              words[words.index("--scene") + 1], "--device", "cpu",
              "--out", str(tmp_path)]  # fmt: skip
-    assert main(words) == 0
+    assert main(words if memory else [*words, "--no-memory"]) == 0
     rounds = json.loads((tmp_path / "training.json").read_text())["rounds"]
     assert [record["round"] for record in rounds] == [0, 1, 2]
     assert [record["steps"] for record in rounds[:2]] == [1, 2] and rounds[2]["steps"] > 2
     assert rounds[2]["mixing"] == 0.0  # the policy flies, not the expert
     assert sorted(record["s"] for record in rounds) == [record["s"] for record in rounds]
-    assert (tmp_path / "policy.safetensors").exists()
+    assert bool(Policy.load(tmp_path / "policy.safetensors").shape.memory) is memory
