@@ -392,9 +392,9 @@ for name in ("rgb", "mask", "rgb_mask"):
 #
 # | | `left_turn_s_descent` | `right_turn_s_ascent` | `right_turn_sharp_climb` | in all |
 # |---|---|---|---|---|
-# | `rgb` | 50 of 51 (57 cm) | 50 of 50 (55 cm) | 46 of 50 (75 cm) | 96.7 % |
-# | `mask` | 17 of 17 (52 cm) | 16 of 16 (56 cm) | 16 of 16 (72 cm) | 100 %, of 49 |
-# | `rgb_mask` | 99 of 100 (58 cm) | 100 of 100 (54 cm) | 97 of 100 (66 cm) | 98.7 % |
+# | `rgb` | 50 of 51 (57 cm) | 50 of 50 (55 cm) | 46 of 50 (75 cm) | 146 of 151 |
+# | `mask` | 19 of 19 (51 cm) | 19 of 19 (54 cm) | 19 of 19 (71 cm) | 57 of 57 |
+# | `rgb_mask` | 99 of 100 (58 cm) | 100 of 100 (54 cm) | 97 of 100 (66 cm) | 296 of 300 |
 #
 # The expert, which knows the leader's state, keeps it in view in 30 of 30 of each, at 42, 42 and 54 cm.
 # The three have the same network behind what they see, with a memory (a recurrent layer); `rgb_mask` was trained longest. A mask
