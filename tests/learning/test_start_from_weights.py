@@ -72,32 +72,23 @@ def test_weights_of_another_shape_are_refused(saved):
         learner(4, memory=0).start_from(saved)
 
 
-def test_colours_alone_begin_from_the_weights_of_colours_and_masks(saved):
-    """With a mask of zeros both compute the same: what the mask adds is all that is lost."""
-    made = learner(4, sees="rgb")
+@pytest.mark.parametrize("sees", ["rgb", "mask"])
+def test_colours_or_masks_alone_begin_from_the_weights_of_both(saved, sees):
+    """Where the other part says nothing, a mask of zeros or a grey image, both compute the same."""
+    made, both = learner(4, sees=sees), learner(4)
     made.start_from(saved)
-    both = learner(4)
     both.start_from(saved)
-    images = torch.from_numpy(np.random.default_rng(1).random((3, 3, 24, 32), np.float32))
-    none = torch.cat([images, torch.zeros_like(images[:, :1])], dim=1)
+    rng = np.random.default_rng(1)
+    images = torch.from_numpy(rng.random((3, 3, 24, 32), np.float32))
+    masks = torch.from_numpy(rng.random((3, 1, 24, 32), np.float32))
+    if sees == "rgb":
+        own, seen = images, torch.cat([images, torch.zeros_like(masks)], dim=1)
+    else:
+        own, seen = masks, torch.cat([torch.full_like(images, 0.5), masks], dim=1)
+        assert torch.equal(made.masks.find(images), both.masks.find(images))
     np.testing.assert_allclose(
-        made.average.encode(images).detach(), both.average.encode(none).detach(), atol=1e-5
+        made.average.encode(own).detach(), both.average.encode(seen).detach(), atol=1e-5
     )
-
-
-def test_masks_alone_begin_from_the_weights_of_colours_and_masks(saved):
-    """In a grey image, whose colours say nothing, both compute the same."""
-    made = learner(4, sees="mask")
-    made.start_from(saved)
-    both = learner(4)
-    both.start_from(saved)
-    masks = torch.from_numpy(np.random.default_rng(1).random((3, 1, 24, 32), np.float32))
-    seen = torch.cat([torch.full((3, 3, 24, 32), 0.5), masks], dim=1)
-    np.testing.assert_allclose(
-        made.average.encode(masks).detach(), both.average.encode(seen).detach(), atol=1e-5
-    )
-    images = torch.from_numpy(np.random.default_rng(2).random((2, 3, 24, 32), np.float32))
-    assert torch.equal(made.masks.find(images), both.masks.find(images))
 
 
 @pytest.mark.parametrize("name", ["student", "rgb", "mask", "rgb_mask"])
