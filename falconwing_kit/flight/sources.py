@@ -25,6 +25,7 @@ IMAGE_SIZE = (320, 240)  # of the FPV image [px]
 NEAREST = 0.1  # of a leader whose image has edges [m]
 CROP_MARGIN_PX = 4  # around its Gaussians' centres
 FAINT = 0.02  # share of a pixel below which nothing is said of what hides it
+ROUNDING_M = 0.01  # of a depth, at most
 FINER = 4  # drawn pixels a side of one whose share is measured
 TIME_ROUNDING = 1e-6  # largest rounding error of a time in a log [s]
 
@@ -133,7 +134,7 @@ class RenderedView:
         nothing = np.zeros((0, 0), np.float32)
         if self._black_and_white is None:
             return nothing
-        hall, leader = self._black_and_white[0], self._place(self._black_and_white[1])
+        leader = self._place(self._black_and_white[1])
         camera, size = self.camera, np.array([self.camera.width, self.camera.height])
         low, high = np.zeros(2, int), size
         uv, depths = camera.project(leader.means, self.T_world_camera)
@@ -152,9 +153,18 @@ class RenderedView:
             render, T_world_camera=self.T_world_camera, backend=self.backend, antialiased=True
         )
         blocks = draw(leader, fine).alpha.reshape(height, FINER, width, FINER).mean(axis=(1, 3))
-        white, unhidden = draw([hall, leader], camera).rgb[part][..., 0], draw(leader, camera).alpha
+        scenes = [*self._hall_before(float(depths.max())), leader]
+        white, unhidden = draw(scenes, camera).rgb[part][..., 0], draw(leader, camera).alpha
         passes = np.clip(white / np.maximum(unhidden[part], FAINT), 0.0, 1.0)
         return np.asarray(blocks * passes, np.float32)
+
+    def _hall_before(self, farthest: float) -> list[GaussianScene]:
+        """The black hall's Gaussians that can hide what is no farther than a depth [m]."""
+        assert self._black_and_white is not None
+        hall, T = self._black_and_white[0], self.T_world_camera.astype(np.float32)
+        depths = hall.means @ T[:3, 2] - T[:3, 3] @ T[:3, 2]
+        before = (depths > 0.0) & (depths < farthest + ROUNDING_M)
+        return [hall.selected(before)] if before.any() else []
 
     def _place(self, leader: GaussianScene) -> GaussianScene:
         """A leader in its body axes at its present pose."""

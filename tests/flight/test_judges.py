@@ -180,6 +180,31 @@ def test_the_share_of_the_leader_is_that_of_the_whole_image():
     assert counts[0] > counts[1] > 30 and counts[-1] == 0
 
 
+def test_what_is_not_drawn_of_the_hall_hides_nothing(monkeypatch):
+    """The share to the bit as with the whole hall, on a flight from wall to wall behind a leader;
+    most of the hall is not drawn.
+    """
+    poses = [(np.array([x, 0.6 * x, 1.5, 0.05, 0.3 * x, 0.4, *6 * [0.0]]), d)
+             for x, d in ((-9.0, 3.0), (-4.0, 6.0), (2.0, 9.0), (8.0, 4.0))]  # fmt: skip
+    world = SimpleNamespace(state=LEVEL, leader_state=LEVEL)
+    view = RenderedView(world, load_scene("hall"), fpv_camera(), AIRFRAME.p_body_camera)
+
+    def shares():
+        for follower, distance in poses:
+            world.state = State.from_vector(follower)
+            ahead = world.state.pose.T_world_body @ (distance, 0.3, -0.2, 1.0)
+            world.leader_state = State.from_vector([*ahead[:3], *follower[3:]])
+            yield view.leader_share()
+
+    hall = view._black_and_white[0]
+    drawn = [sum(map(len, view._hall_before(distance))) for _, distance in poses]
+    assert all(count < 0.5 * len(hall) for count in drawn)
+    quick = list(shares())
+    monkeypatch.setattr(RenderedView, "_hall_before", lambda self, farthest: [hall])
+    for share, whole in zip(quick, shares(), strict=True):
+        assert share.sum() > 1.0 and np.array_equal(share, whole)
+
+
 def test_hull_of_a_square_with_a_point_inside():
     """By hand: the inner corner point changes nothing, collinear corners have no interior."""
     corners = np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0), (1.0, 2.0)])
