@@ -77,7 +77,7 @@ PILOTS = {
         ("hall",),
     ),
     "rgb": PilotEntry(
-        "by the camera: such a network of the image's colours alone",
+        "by the camera: the same, named by what it sees, the image's colours",
         ("landing", "follow"),
         False,
         ("hall",),
@@ -95,8 +95,8 @@ PILOTS = {
     "manual": PilotEntry("by hand, on the page of `falconwing class`", ("landing", "follow"), True),
 }
 BY_POLICY = ("student", "rgb", "mask", "rgb_mask")
-# The student sees colours where it lands, colours and mask where it follows: the same networks.
-SAME_NETWORK = {("landing", "rgb"): "student", ("follow", "rgb_mask"): "student"}
+# The student sees the image's colours: two names for one network.
+SAME_NETWORK = {("landing", "rgb"): "student", ("follow", "student"): "rgb"}
 TASK_NAMES = ("landing", "follow")
 
 

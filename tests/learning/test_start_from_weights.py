@@ -97,4 +97,4 @@ def test_learners_without_a_memory_read_the_past_30_commands(name):
     for memory, commands in ((False, 30), (True, 3)):
         (made,) = make_learners([name], "follow", CAMERA, Schedule(), "cpu", memory=memory)
         assert bool(made.shape.memory) is memory and made.shape.history == commands
-        assert made.shape.sees == ("rgb_mask" if name == "student" else name)
+        assert made.shape.sees == ("rgb" if name == "student" else name)

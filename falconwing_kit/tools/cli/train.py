@@ -27,9 +27,8 @@ class Train:
     task: Literal["landing", "follow"] = "landing"
     """what the policy does"""
     pilot: str = "student"
-    """what it sees: rgb: the image's colours; rgb_mask: the leader's mask beside them, found in the
-    image; mask: that alone; student: rgb for a landing, rgb_mask to follow; several separated by
-    commas share flights"""
+    """what it sees: rgb or student: the image's colours; rgb_mask: the leader's mask beside them,
+    found in the image; mask: that alone; several separated by commas share flights"""
     memory: bool = True
     """whether the network has a memory; without one it reads the past 30 commands, as in the
     paper"""

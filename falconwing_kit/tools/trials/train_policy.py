@@ -121,10 +121,7 @@ def make_learners(
     masks = MaskLearner(schedule, device) if task == "follow" else None
     learners = []
     for name in names:
-        sees = name
-        if name == "student":
-            sees = "rgb_mask" if task == "follow" else "rgb"
-        shape = replace(base, sees=sees)
+        shape = replace(base, sees="rgb" if name == "student" else name)
         finder = None if shape.sees == "rgb" else masks
         learners.append(Learner(shape, schedule, device, name, finder))
     return learners
