@@ -95,7 +95,7 @@ PILOTS = {
     "manual": PilotEntry("by hand, on the page of `falconwing class`", ("landing", "follow"), True),
 }
 BY_POLICY = ("student", "rgb", "mask", "rgb_mask")
-# The student sees the image's colours: two names for one network.
+# `student` and `rgb` are one network; the value is the name in its file's.
 SAME_NETWORK = {("landing", "rgb"): "student", ("follow", "student"): "rgb"}
 TASK_NAMES = ("landing", "follow")
 
@@ -172,6 +172,11 @@ def load_pilot(
             raise InputError(
                 f"weights: expected a policy for the task {task}, got one for"
                 f" {policy.record.task}; take its own task"
+            )
+        if name != "student" and name != policy.shape.sees:
+            raise InputError(
+                f"weights: expected a policy that sees {name}, got one that sees"
+                f" {policy.shape.sees}; fly it by that name, or as student"
             )
         return ImagePilot(policy, _require_camera(camera), p_body_camera)
     if task == "follow":

@@ -127,8 +127,8 @@ class RenderedView:
         """Share (h, w) of each pixel, 0..1, that shows the leader; all of size zero without one.
 
         The leader alone, drawn finer and averaged around its place, because in the image itself a
-        Gaussian narrower than a pixel is widened; times what the hall lets through, which is drawn
-        as the whole image is: a narrow part of it would project the hall's nearest Gaussians
+        Gaussian narrower than a pixel is widened; times what the hall lets through, of which only
+        what is nearer than the leader's farthest point is drawn, as the whole image is: a narrow part of it would project the hall's nearest Gaussians
         otherwise, for the projection is linearised only up to the edge of what is drawn.
         """
         nothing = np.zeros((0, 0), np.float32)

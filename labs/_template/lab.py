@@ -10,7 +10,7 @@
 # **Time** about 1 hour. **Before** velocities and ratios (school), NumPy arrays. **Paper** none.
 #
 # Every exercise is one function. Read its docstring, write what is missing, run the cell, then run the check below it.
-# The numbers of your course are in `COHORT`; do not copy them into your functions, name them.
+# Some constants differ from course to course. They are in the dictionary `COHORT`: write its entry in your functions, not the number.
 
 # %%
 import given

@@ -18,7 +18,8 @@
 # FalconWing Hardware Stack, Appendix.
 #
 # Every exercise is one function. Read its docstring, write what is missing, run the cell, then run the check below it.
-# The numbers of your course are in `COHORT`; do not copy them into your functions, name them.
+# Some constants differ from course to course. They are in the dictionary `COHORT`: write `COHORT["speed_reserve"]` in your
+# functions, not the number. Pictures and sample answers marked "open course" use those that the kit ships with.
 
 # %%
 import given
@@ -46,8 +47,8 @@ keep_going()  # a missing function stops only the cells that need it
 given.moving_circles()
 
 # %% [markdown]
-# *In words: from above, a hall 20 m wide. The 150 g aircraft turns on a circle that stays 1.3 m inside both walls; the heavier
-# one is faster, turns wider, and after 2.9 s it is at the opposite wall.*
+# *In words: from above, a hall 20 m wide, by the paper's formula at 30° of bank: the 150 g aircraft's centre of gravity stays 1.3 m
+# from both walls; the heavier aircraft is faster, turns wider, and after 2.9 s it is at the opposite wall. Part 3 checks the formula.*
 
 # %% [markdown]
 # ## 1 The mass budget

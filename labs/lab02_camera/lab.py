@@ -241,7 +241,7 @@ check(project_points)
 # p_\mathrm{map} = t + s\, R_\mathrm{map\,camera}\, d_\mathrm{camera}, \qquad p_z = 0$$
 #
 # Solve the last equation for $s$. Where $s$ is not positive the ray never meets the floor: it looks at the wall or at
-# the ceiling. The lens is straightened first, so there is no $k_1$ here.
+# the ceiling. The pixels you get are already free of distortion, so do not use $k_1$ here.
 #
 # Write `ground_points`.
 
@@ -374,6 +374,7 @@ check_quiz(quiz)
 # `falconwing_kit/core/frames.py` and `falconwing_kit/scene/camera.py`; they use the world frame, no tilt and no $k_1$.
 # Lab 3 replaces points by small clouds of colour, and the overlay becomes a picture.
 #
-# **With hardware.** Print a chessboard, take 15 pictures of it with your webcam, and run OpenCV's `calibrateCamera`.
+# **With hardware.** Print a chessboard, take 15 pictures of it with your webcam, and run OpenCV's `calibrateCamera` with
+# k2, k3, p1 and p2 fixed at 0. Add 0.5 to its cx and cy: OpenCV counts the first pixel's centre as (0, 0).
 # Hand in your lens (fx, fy, cx, cy, k1), the error it reports in pixels, and one picture with the chessboard's axes
 # drawn by your `project_points`. Tape the board to something flat.

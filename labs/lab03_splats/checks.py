@@ -429,7 +429,7 @@ LAB = Lab(
         Criterion(
             "q2",
             5.0,
-            "own time scaled by 4.6e10 alphas; about 1 % not zero; tiles or boxes, stop when full",
+            "own time scaled by 6.1e10 alphas; about 1 % not zero; tiles or boxes, stop when full",
         ),
     ),
     constants={"cut_sigma": (2.6, 3.2, 1), "surface_share": (0.4, 0.6, 2)},

@@ -188,7 +188,7 @@ def moving_wind(wind: float = 1.5) -> Any:
         outline.set_xy(plan_view(*place(np.array(t)), V / R * t, span=2.0).T)
         ax.set_title(f"A turn in a wind of {wind:g} m/s, {t:.1f} s (simulated)")
 
-    words = "From above: dots drift to the left, a dotted circle drifts with them, and the aircraft"
+    words = "From above: dots drift towards +y, a dotted circle drifts with them, and the aircraft"
     return moving_figure(
         figure, draw, int(5 * seconds), 0.2, words + " stays on the circle; its track is a spiral."
     )

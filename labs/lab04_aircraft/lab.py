@@ -46,8 +46,9 @@ keep_going()  # a missing function stops only the cells that need it
 moving_wind()
 
 # %% [markdown]
-# *In words: from above, a hall in which the air drifts to the left; dots drift with it, and so does a dotted circle. The
-# aircraft flies round this circle. Its track over the ground is no circle, and after one round it is beyond the wall.*
+# *In words: from above, a hall in which the air drifts towards +y, upwards in the picture; dots drift with it, and so does
+# a dotted circle. The aircraft flies round this circle. Its track over the ground is no circle, and after one round it is beyond
+# the wall.*
 
 # %% [markdown]
 # ## 1. What the aircraft feels: the air
@@ -260,7 +261,7 @@ for dt in (0.2, 0.1, 0.05):
 #
 # $$T\cos(\alpha - \tau) = D + g\sin\gamma, \qquad L + T\sin(\alpha - \tau) = g\cos\gamma$$
 #
-# and the pitch rate is zero: $M_0 + M_{\delta_e}\,\text{elevator} + M_\alpha\,\alpha = 0$. The second equation has
+# and the pitch rate, in this model $q = V (M_0 + M_{\delta_e}\,\text{elevator} + M_\alpha\,\alpha)$ and no moment, is zero. The second equation has
 # $\alpha$ in $L$, and weakly in $D$ and $T$. So guess $\alpha$, compute $T$, solve for a better $\alpha$, and repeat
 # until it stays: each round makes the error about twenty times smaller.
 
@@ -352,7 +353,7 @@ print(f"R = V^2 / (g tan bank) = {radius:.2f} m")
 
 # %% [markdown]
 # *In words:* left, the hall from above with a dotted circle; the solid track of the flight in still air lies on it, the
-# dashed one of the flight in wind leaves it to the left, like a spring pulled out. Right, height, speed and bank over
+# dashed one of the flight in wind leaves it towards +y, upwards in the picture, like a spring pulled out. Right, height, speed and bank over
 # time: all three settle within about two seconds.
 #
 # **Question on the figure.** How far does the flight in the wind drift in one round, and which way? Compare with the
@@ -368,7 +369,7 @@ print(f"R = V^2 / (g tan bank) = {radius:.2f} m")
 # %% [markdown]
 # ## Questions
 #
-# **Question 1.** Look at throttle and elevator: why does the turn need more of both than straight flight at the same
+# **Question 1.** Read `pilot` in given.py: why does a turn need more throttle and more elevator than straight flight at the same
 # speed? Use the words *lift* and *induced drag*, and the factor $1/\cos\phi$.
 
 # %% [markdown] answer="q1"
@@ -401,5 +402,5 @@ check_quiz(quiz)
 # unknown, and you find them from logs.
 #
 # **With hardware:** film a hand launch without power (a glide test) from the side, with a metre rule in the picture.
-# Read speed and glide angle off three frames, and compare them with `trim` at throttle zero: for which glide angle does
-# is the throttle zero? Propeller off, two people, soft ground, no one in front.
+# Read speed and glide angle off three frames. For which negative climb angle does `trim` return the throttle 0 at this speed?
+# Compare it with the glide angle. Propeller off, two people, soft ground, no one in front.

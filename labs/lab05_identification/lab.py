@@ -580,7 +580,7 @@ for passes, apart, tightness in (
 #
 # That one is the *constant turn*: speed over the floor $V = \sqrt{v_x^2 + v_y^2}$, climb $v_z$ and roll $\phi$ stay.
 # A coordinated turn has the yaw rate $\dot\psi = \frac{g}{V}\tan\phi$ (Beard and McLain, eq. 9.14), so over a time $h$ the
-# yaw grows by $\Delta = \dot\psi\,h$, and the aircraft flies an arc of length $V h$. Its **chord** is shorter by
+# yaw grows by $\Delta = \dot\psi\,h$, and the aircraft flies an arc of length $V h$. Its **chord** is this length times
 # $\frac{\sin(\Delta/2)}{\Delta/2}$ and points to where the aircraft flies in the middle of the arc. World axes: y is to
 # the **left**, so in a right turn (roll and yaw positive) the velocity's angle $\operatorname{atan2}(v_y, v_x)$ falls.
 #
@@ -689,9 +689,9 @@ plt.show()
 # %% [markdown]
 # ## Questions
 #
-# **Question 1.** Compare the four columns of the table. Which parameters have the largest error in the paper's fit, and in
-# which direction? Explain by noise in the *angle of attack* why M_alpha comes out too near zero, and why cL_alpha comes out
-# near $1/(V\,\Delta t) = 2.8$ (at $V$ = 7.1 m/s). Then look at your intervals: does the truth lie in about as many of
+# **Question 1.** Compare the four columns of the table. Which parameters have the largest error in column `raw`, and in which
+# direction? Explain by noise in the *angle of attack* why M_alpha is too near zero there, and why cL_alpha is near
+# $1/(V\,\Delta t) = 2.8$ (at $V$ = 7.1 m/s). Then look at your intervals: does the truth lie in about as many of
 # them as `LEVEL` promises?
 
 # %% [markdown] answer="q1"

@@ -282,6 +282,6 @@ def moving_photos() -> Any:
         seen.set_title(f"the marker's longest side: {side:.0f} px", fontsize=9)
 
     words = (
-        "Photo by photo nearer to the marker; its square grows from some 17 to more than 100 px."
+        "Photo by photo nearer to the marker; its square grows from some 15 to more than 100 px."
     )
     return moving_figure(figure, draw, len(order), 0.25, words)

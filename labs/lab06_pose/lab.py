@@ -70,7 +70,7 @@ draw_crops()
 plt.show()
 
 # %% [markdown]
-# *In words: the same marker from 3.0 m, more than 100 px wide and sharp, and from 21.7 m, about 17 px wide and
+# *In words: the same marker from 3.0 m, more than 100 px wide and sharp, and from 21.7 m, about 15 px wide and
 # blurred.*
 #
 # ## 1 One photo, one pose
@@ -406,7 +406,7 @@ plt.show()
 
 # %% [markdown]
 # *In words: long orange lines lead from each true place to where the first recipe puts it, metres off; with the last
-# recipe blue circles sit on the true places. The bars fall from 5.7 m on average to 0.13 m.*
+# recipe blue circles sit on the true places. Below, the mean error is 5.7 m for the first and 0.13 m for the last.*
 #
 # **Question on the figure.** Which of the remedies uses knowledge about the errors, and which one needs none?
 # What does the latter rely on instead?
@@ -414,8 +414,8 @@ plt.show()
 # %% [markdown] answer="hall_reading"
 # The weights use how errors grow with distance: a place from a photo as Z³, a ray's miss as Z. (Polishing uses a noise
 # model as well: errors are made in pixels.) The median needs no such knowledge; it relies on a majority of good
-# photos, here 43 of 72. Together they are best: 5.7 m on average become 0.22 m without outliers, 0.14 m with weights,
-# and 0.13 m by weighted corners.
+# photos, here 43 of 72. On average the 5.7 m become 0.22 m without outliers, 0.14 m with weights and 0.13 m with weighted
+# corners; no recipe here combines weights with the median.
 
 # %% [markdown]
 # ## Questions

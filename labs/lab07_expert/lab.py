@@ -439,7 +439,7 @@ for seed in range(10):
 #
 # The hall's walls are at x = -22.5 and 17.5 m, y = -12 and 8 m. A landing counts if the wheels first meet the **pad**, not
 # its edge, at most 0.8 m off the centre line, sinking at most 0.4 m/s faster than
-# `touch_sink`, and with the motor idle; nothing else may be touched, and after 16 s it is over. One object lands many times,
+# `touch_sink`, and with a throttle of 0 in the last command; nothing else may be touched, and after 16 s it is over. One object lands many times,
 # with a `reset` before each.
 #
 # How you build it is up to you: 30 to 80 lines, with modes, helpers, your five functions, and numbers of your own. Only

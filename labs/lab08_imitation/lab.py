@@ -273,7 +273,7 @@ plot_losses(losses)
 #   was **flown** in this flight, the newest first, and 0 before.
 # - A flight has *landed* if it is not lost and ends within `PAD_HALF` of the centre line, on either side.
 #
-# Judge as lab 11 teaches: the mean deviation is over landed flights only. A failure has no landing deviation; it is
+# The mean deviation is over landed flights only. A failure has no landing deviation; it is
 # not zero, and it is not large. It counts in the success rate.
 
 
@@ -406,11 +406,12 @@ plot_drift(tracks, results)
 
 # %% [markdown]
 # **3.** The expert lands all, or nearly all, of the flights. The noisy pilot landed some number of 20. Would you
-# claim that it is better than the clean one? Than it is as good as the expert? What would you do to be surer?
+# claim that it is better than the clean one? Or that it is as good as the expert? Compare flight by flight, give an interval
+# for its success rate, and say what you would do to be surer.
 
 # %% [markdown] answer="q3"
 # Both flew the same starts and gusts, so compare flight by flight (McNemar): if many flights are landed by one only
-# and hardly any by the other only, the difference is not luck. 19 of 20 has a 95 % interval of about 0.75 to 1.00, so
+# and hardly any by the other only, the difference is not luck. 18 of 20 has a 95 % interval of about 0.70 to 0.97, so
 # "as good as the expert" is not shown. More flights, and more than one training seed; then intervals for both.
 
 # %% quiz="quiz"
@@ -424,7 +425,7 @@ check_quiz(quiz)
 #
 # You trained a pilot that lands from pictures, and you know why a low loss is no proof. The paper's networks are
 # larger (640 x 480 pixels, transformers, 100,000 pairs); the chain is the same. Try `new_network(channels=(16, 32,
-# 32), hidden=64)`, another strength of noise (`make_data.py`), or a history of 0. In lab 9 the hall looks different.
+# 32), hidden=64)`, twice as many epochs, or a history of 0. In lab 9 the hall looks different.
 #
 # ## With hardware
 #

@@ -608,8 +608,8 @@ plot_monitor(ssim, alarm, parts, 0.7)
 # %% [markdown] answer="q1"
 # Single frames get lost all the time; immediate idle would shut the throttle and centre the surfaces many times a minute,
 # and each jerk disturbs the aircraft more than an old command does. For 220 ms the old command is nearly the right
-# one: at 7 m/s the aircraft moves 1.5 m. In two seconds it flies 14 m, most of the hall, and an old roll command would
-# have turned it on its back.
+# one: at 7 m/s the aircraft moves 1.5 m. In two seconds it flies 14 m, a third of the hall, and an old roll command
+# would have turned it on its back.
 
 # %% [markdown]
 # **2.** After `LOST` the host's commands come again, with engage on. Why must the board not simply go on?
@@ -652,6 +652,7 @@ check_quiz(quiz)
 #    `serial.Serial(PORT, 115200)` in its place, 3 s after opening it (that resets the board), and a sleep of 50 ms for
 #    each step. No pilot is measured here, so begin with 1000, 1500, 1500, 1500 until step 15: only idle engages. Measure each slot; the board's pulse is 400 us wide, whatever your course has. Trigger on the first
 #    pulse with infinite persistence: how wide is the jitter?
-# 3. Pull the USB cable while the board is ACTIVE. How long until the throttle slot is idle?
+# 3. While the board is ACTIVE, stop sending; leave the cable in, since it powers the board. How long until the throttle slot
+#    is idle? (Without the cable the pulses stop.)
 #
 # In place of the figures hand in: a photo of the screen with the slots marked, and a video of step 3.

@@ -424,8 +424,8 @@ plt.show()
 
 # %% [markdown]
 # *In words:* left, a bar of evidence for every candidate and the threshold as a dashed line. Right, bars of the
-# misfit on held-out time: with the nominal model as it is, with its parameters adapted to another day, with the effect
-# (if one was named), and that of the baseline flight itself. Where the effect's bar is as low, the gap is closed.
+# misfit: on held-out time with the nominal model as it is, with its parameters adapted to another day, and with the effect
+# (if one was named); last, the baseline flight on the time that it was fitted to. Where the effect's bar is as low, the gap is closed.
 #
 # **Question on the figure.** What has passed the threshold, and is the gap closed? Or why is it *none*? Why does the
 # second bar, with 29 adapted parameters and *no* effect, not settle it?
@@ -440,7 +440,8 @@ plt.show()
 # ## 7. Your finding
 # Do map, evidence and gap agree? Does the size make sense? Then write down what you found. The size is that of
 # `CANDIDATES` in given.py (of a wind its speed, of a trim bias with its sign), low and high are a 95 % interval. For
-# *none* all three are zero. An interval of more than 40 % to either side is too wide.
+# *none* all three are zero. A size counts within 25 % of the truth, an interval if it reaches at most 40 % of
+# the size to either side.
 
 
 # %% exercise="my_finding"
@@ -554,8 +555,8 @@ right.legend(fontsize=8)
 plt.show()
 
 # %% [markdown]
-# *In words:* left, velocities over the floor make two rings of the same size; crosses mark their centres: the grey,
-# dashed one at zero, the blue, solid one at the hidden wind. Right, two laps seen from above, a long loop each; the
+# *In words:* left, velocities over the floor make two rings of the same size; plus signs mark their centres: that of
+# the grey, dashed ring at zero, that of the blue, solid ring at the hidden wind. Right, two laps seen from above, a long loop each; the
 # second lies metres away, where the wind has carried the aircraft since the start, and does not close.
 #
 # **Question on the figure.** Does the interval contain what you hid? Why is the baseline's "wind" not exactly zero, and

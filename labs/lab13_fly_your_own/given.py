@@ -552,7 +552,7 @@ def words_for(flown: Mapping[str, Any]) -> str:
 
 
 def entry_of(flown: Mapping[str, Any], points: float, parts: Any) -> str:
-    """An entry for the class's board, JSON: the commands, and what you say they are worth."""
+    """An entry for the class's leaderboard, JSON: the commands, and what you say they are worth."""
     record = Path(parts.__file__).with_name("parts.json")
     functions = json.loads(record.read_text(encoding="utf-8"))["functions"]
     return json.dumps(

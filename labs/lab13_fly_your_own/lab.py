@@ -205,7 +205,7 @@ check(fly)
 
 # %% [markdown]
 # ## 4 How good was the landing?
-# The class's board needs one number. The flight ends between its last two rows, at the height `FLOOR_Z`: find the
+# The class's leaderboard needs one number. The flight ends between its last two rows, at the height `FLOOR_Z`: find the
 # point of touchdown by linear interpolation. It lies $o$ off the pad's centre line, and the aircraft sinks with $s$:
 #
 # $$\text{points} = 100 \; e^{-(o / \texttt{WORTH\_M})^2} \; \min\left(1, \frac{\texttt{SOFT\_SINK}}{s}\right)$$
@@ -303,13 +303,13 @@ words = f"{seconds:.1f} s, touchdown at x = {x:.2f} m, {offset:.2f} m off the li
 print(f"{words}: {points:.1f} points")
 
 # %% [markdown]
-# *In words: the film begins along the right wall, westward; after four seconds the hall tilts and turns round to
-# the right, until the marker and the blue pad come in from the right side and grow; it ends on the pad. Below it, six
+# *In words: the film begins beside a wall, close on the left; after four seconds the aircraft banks and turns to the
+# right, until the marker and the blue pad come in from the right side and grow; it ends on the pad. Below it, six
 # of its pictures; the track from above, like a U that lies on its side; and the bank over time, expert and policy
 # nearly on each other.*
 #
-# **Question on the figure.** Where does the policy leave the expert, and what does the picture show there? How many
-# steps got lost on the wire, and where do you see them in the flight?
+# **Question on the figure.** Where does the policy leave the expert, and what does the picture show there? About
+# one command in thirty gets lost on the wire: why does no curve of the flight show it?
 
 # %% [markdown] answer="film_reading"
 # Where the bank jumps, at the begin of the turn, and for a few pictures in it, where only blurred wall and ceiling are
@@ -350,7 +350,7 @@ plt.show()
 
 # %% [markdown]
 # ## 7 Your entry
-# The class's board takes your *commands*, no code: whoever keeps it flies them again with the kit's aircraft, and the
+# The class's leaderboard takes your *commands*, no code: whoever keeps it flies them again with the kit's aircraft, and the
 # points are what comes out. So nobody needs to trust you, and you need not trust them.
 
 # %%
@@ -365,7 +365,7 @@ print(f"flown again: {given.fly_entry(entry, landing_score):.1f} points")
 
 # %% [markdown] answer="q2"
 # Commands alone are open loop: with another mass, a draught, or the hidden effect of part 6 the flight would soon be
-# off. In the hall the loop must be closed by what is measured: the policy's picture and the pose. On the board it is
+# off. In the hall the loop must be closed by what is measured: the policy's picture and the pose. The leaderboard is
 # fair because the aircraft there is the same for all.
 
 # %% quiz="quiz"

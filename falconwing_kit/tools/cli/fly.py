@@ -85,7 +85,7 @@ class Fly:
     aircraft stays the kit's own
     """
     weights: Path | None = None
-    """weights of train that the pilot student flies by, in place of those that ship"""
+    """weights of train for student, rgb, mask or rgb_mask, in place of those that ship"""
     trials: int = 1
     """number of flights, each from its own initial state of the fixed list"""
     manoeuvre: Annotated[str, tyro.conf.arg(help=MANOEUVRE_HELP)] = ""

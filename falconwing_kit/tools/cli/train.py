@@ -81,6 +81,8 @@ class Train:
                 raise InputError(
                     f"--pilot: expected {' or '.join(known)} for {self.task}, got {name!r}"
                 )
+        if {"student", "rgb"} <= set(self.pilots):
+            raise InputError("--pilot: expected student or rgb, got both, which are one network")
         if self.start and len(self.start) != len(self.pilots):
             raise InputError(
                 f"--start: expected {len(self.pilots)} files, one for each pilot, got"
@@ -119,8 +121,7 @@ class Train:
                 for r in rounds]  # fmt: skip
         print_table(HEADERS, rows, title=f"SIMULATED: {self.task} by {self.pilot}, imitated")
         weights = self.out / self.weights(self.pilots[0])
-        # `student` flies by the weights of any policy
-        next_line(f"falconwing fly --task {self.task} --pilot student --weights {weights}")
+        next_line(f"falconwing fly --task {self.task} --pilot {self.pilots[0]} --weights {weights}")
         return 0
 
     @property
