@@ -3,6 +3,7 @@ are missing, late, repeated, damaged, or of nothing.
 """
 
 from dataclasses import dataclass, replace
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from falconwing_kit.flight.world import SimulatedWorld
 from falconwing_kit.vision.online_filter import FilterSettings
 
 CAMERA, MOUNT = fpv_camera(64, 48), np.array([0.20, 0.0, 0.0])
+SHIPPED = files("falconwing_kit.data")
 SIGMAS = np.array([0.15, 0.15, 0.08, 0.01, 0.01, 0.01])  # about those of the pose network
 
 
@@ -153,6 +155,7 @@ def test_the_student_is_the_network_of_colours(task):
     student = load_pilot("student", task, camera=CAMERA)
     same = load_pilot("rgb", task, camera=CAMERA)
     assert same.policy is student.policy and same.policy.shape.sees == "rgb"
+    assert same.policy.shape.memory
 
 
 def test_pilots_of_masks_see_them():
@@ -160,6 +163,19 @@ def test_pilots_of_masks_see_them():
     for name in ("mask", "rgb_mask"):
         policy = load_pilot(name, "follow", camera=CAMERA).policy
         assert policy.shape.sees == name and policy.shape.memory
+
+
+def test_weights_of_a_policy_that_sees_something_else_are_refused():
+    """Or a table would name the colours a mask; the student flies by any."""
+    weights = SHIPPED / "policy_follow_rgb.safetensors"
+    for name in ("mask", "rgb_mask"):
+        with pytest.raises(InputError, match=f"sees {name}, got one that sees rgb; fly it by"):
+            load_pilot(name, "follow", camera=CAMERA, weights=weights)
+    for name in ("rgb", "student"):
+        assert load_pilot(name, "follow", camera=CAMERA, weights=weights).policy
+    both = SHIPPED / "policy_follow_rgb_mask.safetensors"
+    student = load_pilot("student", "follow", camera=CAMERA, weights=both)
+    assert student.policy.shape.sees == "rgb_mask"
 
 
 @pytest.mark.parametrize(

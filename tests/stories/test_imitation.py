@@ -82,3 +82,12 @@ def test_weights_that_do_not_fit_are_one_sentence(words, sentence, capsys):
     """Before anything flies."""
     assert main(["fly", "--headless", *words]) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_two_names_of_one_network_are_not_trained_side_by_side(tmp_path, capsys):
+    """Before anything is trained or written."""
+    out = tmp_path / "trained"
+    assert main(["train", "--pilot", "rgb,student", "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "--pilot: expected student or rgb, got both, which are one network" in said
+    assert not out.exists()
