@@ -127,9 +127,10 @@ class RenderedView:
         """Share (h, w) of each pixel, 0..1, that shows the leader; all of size zero without one.
 
         The leader alone, drawn finer and averaged around its place, because in the image itself a
-        Gaussian narrower than a pixel is widened; times what the hall lets through, of which only
-        what is nearer than the leader's farthest point is drawn, as the whole image is: a narrow part of it would project the hall's nearest Gaussians
-        otherwise, for the projection is linearised only up to the edge of what is drawn.
+        Gaussian narrower than a pixel is widened; times what the hall lets through. Of the hall
+        only what is nearer than the leader's farthest point is drawn, and that as the whole image
+        is: a narrow part of it would project the hall's nearest Gaussians otherwise, for the
+        projection is linearised only up to the edge of what is drawn.
         """
         nothing = np.zeros((0, 0), np.float32)
         if self._black_and_white is None:
