@@ -95,7 +95,7 @@ PILOTS = {
     "manual": PilotEntry("by hand, on the page of `falconwing class`", ("landing", "follow"), True),
 }
 BY_POLICY = ("student", "rgb", "mask", "rgb_mask")
-# `student` and `rgb` are one network; the value is the name in its file's.
+# `student` and `rgb` are one network; the value is the name that its file has.
 SAME_NETWORK = {("landing", "rgb"): "student", ("follow", "student"): "rgb"}
 TASK_NAMES = ("landing", "follow")
 

@@ -440,8 +440,8 @@ plt.show()
 # ## 7. Your finding
 # Do map, evidence and gap agree? Does the size make sense? Then write down what you found. The size is that of
 # `CANDIDATES` in given.py (of a wind its speed, of a trim bias with its sign), low and high are a 95 % interval. For
-# *none* all three are zero. A size counts within 25 % of the truth, an interval if it reaches at most 40 % of
-# the size to either side.
+# *none* all three are zero. A size counts within 25 % of the truth; an interval counts if its half-width is at
+# most 40 % of the true size and the truth is at most 1.6 half-widths from its middle.
 
 
 # %% exercise="my_finding"
