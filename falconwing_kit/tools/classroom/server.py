@@ -54,7 +54,8 @@ STATE_BUFFER, TEXT_BUFFER = 4 * 1024, 256 * 1024  # bytes that may wait in a cli
 PICTURE_BUFFER = 1024
 SYSTEM_BUFFER = 16 * 1024  # bytes of a connection in the system
 NAME_LENGTH = 24
-OPEN_S, PING_S, CLOSE_S = 5.0, 5.0, 1.0  # time for a handshake, between pings, and to close
+# Time for a request and its answer, for which a flight may be flown again; between pings; to close.
+OPEN_S, PING_S, CLOSE_S = 30.0, 5.0, 1.0
 START_S = 10.0
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:"
