@@ -27,7 +27,7 @@ def trained(small_hall, tmp_path_factory):
     """A few seconds of training, in two rounds."""
     out = tmp_path_factory.mktemp("trained")
     words = ["train", "--out", str(out), "--scene", str(small_hall), "--size", SIZE, "--nominal",
-             "--minutes", "0.2", "--flights", "4", "--batch", "4", "--rounds", "2",
+             "--minutes", "0.5", "--flights", "4", "--batch", "4", "--rounds", "2",
              "--device", "cpu"]  # fmt: skip
     assert main(words) == 0
     return out, words
