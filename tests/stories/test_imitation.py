@@ -24,7 +24,7 @@ def small_hall(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trained(small_hall, tmp_path_factory):
-    """A few seconds of training, in two rounds."""
+    """Half a minute of training, in two rounds."""
     out = tmp_path_factory.mktemp("trained")
     words = ["train", "--out", str(out), "--scene", str(small_hall), "--size", SIZE, "--nominal",
              "--minutes", "0.5", "--flights", "4", "--batch", "4", "--rounds", "2",
@@ -44,7 +44,7 @@ def test_training_writes_weights_a_record_and_a_curve(trained):
 
 
 def test_the_trained_policy_flies(trained, small_hall, capsys):
-    """A few seconds of training do not land; but the loop flies it without a fault, and what it
+    """Half a minute of training does not land; but the loop flies it without a fault, and what it
     does depends on the image.
     """
     out, _ = trained
