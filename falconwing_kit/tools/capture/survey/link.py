@@ -58,19 +58,11 @@ def image_statistics(images: Sequence[Pixels]) -> ImageStatistics:
     """
     if not images:
         raise InputError("link: expected at least one photo to measure, got none")
-    covariances, spectra, lengths = [], [], []
-    for image in images:
-        planes = _planes(image)
-        covariances.append([_grain(plane) for plane in planes])
-        spectra.append([_spectrum(plane) for plane in planes])
-        lengths += _fades(planes[0])
-    grain, power = np.median(covariances, axis=0), np.median(spectra, axis=0)
+    lengths = [length for image in images for length in _fades(_planes(image)[0])]
     return ImageStatistics(
-        luma_noise=math.sqrt(grain[0, 0]),
-        correlation=float(grain[0, 1] / max(grain[0, 0], 1e-9)),
-        chroma_noise=math.sqrt(grain[1:, 0].mean()),
-        luma=_bands(power[0], LUMA_BANDS),
-        chroma=_bands(power[1:].mean(axis=0), CHROMA_BANDS),
+        *_noise(images),
+        luma=_log_amplitude(images, "luma"),
+        chroma=_log_amplitude(images, "chroma"),
         fades=len(lengths) / len(images),
         fade_lines=float(np.mean(lengths)) if lengths else math.nan,
     )
@@ -120,20 +112,18 @@ def _fit_noise(
 ) -> AnalogVideo:
     """The link with matching noise, corrected iteratively by simulation."""
     for _ in range(NOISE_ITERATIONS):
-        simulated = image_statistics(transmit(link, clean))
+        luma_noise, correlation, chroma_noise = _noise(transmit(link, clean))
         target_noise, simulated_noise = (
-            math.sqrt(max(x.luma_noise**2 - clean_statistics.luma_noise**2, 1e-3))
-            for x in (target, simulated)
+            math.sqrt(max(noise**2 - clean_statistics.luma_noise**2, 1e-3))
+            for noise in (target.luma_noise, luma_noise)
         )
         snr_db = link.snr_db + 20.0 * math.log10(simulated_noise / target_noise)
         target_chroma = max(target.chroma_noise**2 - clean_statistics.chroma_noise**2, 0.0) ** 0.5
-        simulated_chroma = (
-            max(simulated.chroma_noise**2 - clean_statistics.chroma_noise**2, 1e-4) ** 0.5
-        )
+        simulated_chroma = max(chroma_noise**2 - clean_statistics.chroma_noise**2, 1e-4) ** 0.5
         decay = (
             _decay(target.correlation)
             * _decay(_correlation_from_noise_s(link.noise_s, pixel_s))
-            / _decay(simulated.correlation)
+            / _decay(correlation)
         )
         link = replace(
             link,
@@ -168,14 +158,17 @@ def _fit_bandwidth(
     changes: list[dict[str, Any]] = [{f"{name}_hz": float(hertz)} for hertz in grid]
     links = [replace(link, **change) for change in changes]
     some = clean[:: max(1, len(clean) // 6)]
-    base = getattr(image_statistics(clean), name) - getattr(image_statistics(some), name)
-    off = [
-        np.abs(
-            getattr(image_statistics(transmit(one, some)), name) + base - getattr(target, name)
-        ).sum()
-        for one in links
-    ]
+    want = getattr(target, name) - _log_amplitude(clean, name) + _log_amplitude(some, name)
+    off = [np.abs(_log_amplitude(transmit(one, some), name) - want).sum() for one in links]
     return links[int(np.argmin(off))]
+
+
+def _noise(images: Sequence[Pixels]) -> tuple[float, float, float]:
+    """The first three of `ImageStatistics`."""
+    covariances = [[_grain(plane) for plane in _planes(image)] for image in images]
+    grain = np.median(covariances, axis=0)
+    correlation = float(grain[0, 1] / max(grain[0, 0], 1e-9))
+    return math.sqrt(grain[0, 0]), correlation, math.sqrt(grain[1:, 0].mean())
 
 
 def _planes(image: Pixels) -> list[Array]:
@@ -195,12 +188,18 @@ def _grain(plane: Array) -> Array:
     across = (plane[1:-1] - 0.5 * (plane[:-2] + plane[2:])) / math.sqrt(1.5)
     rows, columns = BLOCK
     high, wide = across.shape[0] // rows, across.shape[1] // columns
-    blocks = (
-        across[: high * rows, : wide * columns].reshape(high, rows, wide, columns).swapaxes(1, 2)
-    )
-    spread = blocks.var(axis=(2, 3))
+    whole = across[: high * rows, : wide * columns].reshape(high, rows, wide, columns)
+    blocks = whole.swapaxes(1, 2).reshape(-1, rows, columns)
+    spread = blocks.var(axis=(1, 2))
     flat = blocks[spread <= np.quantile(spread, FLAT)]
     return np.array([(flat**2).mean(), (flat[..., 1:] * flat[..., :-1]).mean()])
+
+
+def _log_amplitude(images: Sequence[Pixels], name: str) -> Array:
+    """Log amplitude by frequency of "luma" or "chroma", as in `ImageStatistics`."""
+    planes, bands = {"luma": (slice(0, 1), LUMA_BANDS), "chroma": (slice(1, 3), CHROMA_BANDS)}[name]
+    spectra = [[_spectrum(plane) for plane in _planes(image)[planes]] for image in images]
+    return _bands(np.median(spectra, axis=0).mean(axis=0), bands)
 
 
 def _spectrum(plane: Array) -> Array:

@@ -105,9 +105,12 @@ def test_wrong_photos_are_a_sentence(clean, tmp_path, capsys):
 
 
 def test_the_step_prints_the_link(clean, tmp_path, capsys):
-    """The noise that was added, by `falconwing scene link`; the same tolerance as above."""
+    """The noise that was added, by `falconwing scene link`; the same tolerance as above. Half of
+    the lines of two photos hold enough of it.
+    """
     link = AnalogVideo(33.0, seed=9, chroma_noise=1.5)
-    for name, images in (("through", transmit(link, clean[:2])), ("clean", clean[:2])):
+    clean = [photo[:240] for photo in clean[:2]]
+    for name, images in (("through", transmit(link, clean)), ("clean", clean)):
         (tmp_path / name).mkdir()
         for number, image in enumerate(images):
             cv2.imwrite(str(tmp_path / name / f"{number}.png"), image[..., ::-1])
