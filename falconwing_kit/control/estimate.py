@@ -48,7 +48,7 @@ class SimulatedAircraft:
         """Simulate until t [s]; without any command, controls are neutral and the throttle idle."""
         times = np.array(self._times or [0.0])
         commands = np.array(self._commands or [np.zeros(4)])
-        self.x = advance(self._model, self.t, t, self.x[:, None], times, commands)[:, 0]
+        self.x = advance(self._model, self.t, t, self.x, times, commands)
         self.t = max(self.t, t)
 
 

@@ -36,11 +36,12 @@ def rotation_world_body(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Ar
     Returns:
         R_world_body (..., 3, 3); columns are nose, right wing and belly in the world.
     """
-    entries = rotation_entries(*np.broadcast_arrays(roll, pitch, yaw))
-    R_world_body = np.stack(
-        [np.stack(np.broadcast_arrays(*row), axis=-1) for row in entries], axis=-2
-    )
-    return R_world_body.astype(np.float64)
+    angles = [np.asarray(angle, np.float64) for angle in (roll, pitch, yaw)]
+    R_world_body = np.empty((*np.broadcast_shapes(*(angle.shape for angle in angles)), 3, 3))
+    for i, row in enumerate(rotation_entries(*angles)):
+        for j, entry in enumerate(row):
+            R_world_body[..., i, j] = entry
+    return R_world_body
 
 
 def rotation_entries(roll: Any, pitch: Any, yaw: Any) -> Any:

@@ -246,7 +246,8 @@ class InnovationFilter:
             drift = self._drift.sigma(self._x[:n, None], position[:, None])[:, 0]
             noise = replace(noise, disturbance=np.hypot(noise.disturbance, drift))
         P = transition @ self._P @ transition.T
-        P[np.diag_indices(self._size)] += process_variance(noise, n, row_interval)
+        sigma, decay = gauss_markov(noise)[1], transition.diagonal()[n:]
+        P[range(n, self._size), range(n, self._size)] += sigma**2 * (1.0 - decay**2)  # Q
         predicted, H_all = self._observe(x, row.t)
         used = np.isfinite(observation_variance(self._noise))
         if not (np.isfinite(P).all() and np.isfinite(predicted[used]).all()
@@ -316,7 +317,7 @@ class InnovationFilter:
                 x = step_batch(self._rates, K, edges[k], x, mean[k, :, None], h, slope[k, :, None])
             transition = np.zeros((self._size, self._size))
             transition[:n, : n + 6] = (x[:, 1:] - x[:, :1]) / DIFFERENCE
-        decay = gauss_markov_decay(self._noise, n, row_interval)
+        decay = np.exp(-row_interval / gauss_markov(self._noise)[0])
         transition[range(n, self._size), range(n, self._size)] = decay
         return np.concatenate([x[:, 0], decay * self._x[n:]]), transition, mean[-1]
 
@@ -344,22 +345,14 @@ class InnovationFilter:
         return predicted, H
 
 
-def gauss_markov_decay(noise: FilterNoise, n: int, dt: float) -> Array:
-    """(6,) or (12,) decay exp(-dt / tau) of d, and of b where there is one."""
-    decay = np.full(6, np.exp(-dt / noise.disturbance_time))
-    if not noise.has_correlated:
-        return decay
-    return np.concatenate([decay, np.exp(-dt / np.repeat(noise.correlated.time, 3))])
-
-
-def process_variance(noise: FilterNoise, n: int, dt: float) -> Array:
-    """(N,) diagonal of Q over a step: sigma^2 (1 - exp(-2 dt / tau)) of d and b, none of x."""
-    sigma = noise.disturbance
+def gauss_markov(noise: FilterNoise) -> tuple[Array, Array]:
+    """Time constants tau [s] and standard deviations: (6,) of d, or (12,) of d and b."""
+    tau, sigma = np.full(6, noise.disturbance_time), noise.disturbance
     if noise.has_correlated:
         share = np.repeat(noise.correlated.share, 3)
+        tau = np.concatenate([tau, np.repeat(noise.correlated.time, 3)])
         sigma = np.concatenate([sigma, np.sqrt(share) * noise.pose])
-    grown = sigma**2 * (1.0 - gauss_markov_decay(noise, n, dt) ** 2)
-    return np.concatenate([np.zeros(n), grown])
+    return tau, sigma
 
 
 def observation_variance(noise: FilterNoise) -> Array:
@@ -461,6 +454,7 @@ def innovation_cost(steps: Sequence[FilterStep], n: int, noises: Sequence[Filter
     """
     count, size = len(noises), len(steps[0].predicted)
     R_all = np.stack([observation_variance(noise) for noise in noises])
+    tau, sigma = (np.stack(part) for part in zip(*map(gauss_markov, noises), strict=True))
     e, P, cost = np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count)
     diagonal, tail = np.arange(size), np.arange(n, size)
     before = steps[0].estimate
@@ -470,13 +464,13 @@ def innovation_cost(steps: Sequence[FilterStep], n: int, noises: Sequence[Filter
             P[:, diagonal, diagonal] = _start_variance(noises, n, size)
             before = step.estimate
             continue
-        decay = np.stack([gauss_markov_decay(noise, n, step.dt) for noise in noises])
+        decay = np.exp(-step.dt / tau)
         Phi = np.repeat(step.transition[None], count, axis=0)
         Phi[:, tail, tail] = decay
         e = (Phi @ e[..., None])[..., 0]
         e[:, n:] += decay * before[n:] - step.predicted[n:]
         P = Phi @ P @ Phi.transpose(0, 2, 1)
-        P[:, diagonal, diagonal] += [process_variance(noise, n, step.dt) for noise in noises]
+        P[:, tail, tail] += sigma**2 * (1.0 - decay**2)  # Q
         if len(step.rows):
             H = step.H
             nu = step.innovation - e @ H.T
