@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 from falconwing_kit.aircraft.effects import CATALOGUE
@@ -56,19 +57,25 @@ def uses(tree: Path) -> list[tuple[str, list[tuple[int, str]]]]:
         where = path.relative_to(package).as_posix()
         if where.startswith("aircraft/effects/"):
             continue
-        known = []
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            name = getattr(node, "attr", getattr(node, "arg", None))
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                known.append((node.lineno, node.value))
-            elif isinstance(node, ast.Attribute | ast.keyword) and name:
-                known.append((getattr(node, "lineno", 0), name))
-        found.append((where, [(line, name) for line, name in known if name in NAMES]))
+        found.append((where, names_in(path.read_text(encoding="utf-8"))))
     for path in sorted(package.rglob("*.j2")):
         lines = enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
         known = [(line, name) for line, text in lines for name in QUOTED.findall(text)]
         found.append((path.relative_to(package).as_posix(), known))
     return found
+
+
+@cache  # a planted fault changes one file of hundreds
+def names_in(source: str) -> list[tuple[int, str]]:
+    """Line and name of every string, attribute and keyword that is one of NAMES."""
+    known = []
+    for node in ast.walk(ast.parse(source)):
+        name = getattr(node, "attr", getattr(node, "arg", None))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            known.append((node.lineno, node.value))
+        elif isinstance(node, ast.Attribute | ast.keyword) and name:
+            known.append((getattr(node, "lineno", 0), name))
+    return [(line, name) for line, name in known if name in NAMES]
 
 
 def test_a_template_that_names_an_effect_is_reported(tmp_path):

@@ -3,7 +3,7 @@ faces only.
 """
 
 import ast
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,7 +46,7 @@ def import_problems(tree: Path) -> list[str]:
     problems = []
     for path in sorted((tree / "falconwing_kit").rglob("*.py")):
         room = room_of(path.relative_to(tree))
-        for line, imported in imports(path):
+        for line, imported in imports(path.read_text(encoding="utf-8")):
             problem = complaint(room, imported)
             if problem:
                 problems.append(f"{path.relative_to(tree).as_posix()}:{line}: {problem}")
@@ -64,7 +64,7 @@ def lab_problems(tree: Path) -> list[str]:
     """Imports in labs/*/*.py that reach behind a face, one line each."""
     problems = []
     for path in sorted((tree / "labs").glob("*/*.py")):
-        for line, imported in imports(path):
+        for line, imported in imports(path.read_text(encoding="utf-8")):
             parts = imported.split(".")
             deepest = (
                 4 if parts[1:2] == ["tools"] else 3
@@ -80,16 +80,19 @@ def room_of(path: Path) -> str:
     return path.parts[1] if len(path.parts) > 2 else ""
 
 
-def imports(path: Path) -> Iterator[tuple[int, str]]:
-    """Line and dotted name of every import in a file, those inside functions too; "." and "*" stay
-    visible.
+@cache  # a planted fault changes one file of hundreds
+def imports(source: str) -> list[tuple[int, str]]:
+    """Line and dotted name of every import in a source, those inside functions too; "." and "*"
+    stay visible.
     """
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+    found: list[tuple[int, str]] = []
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from ((node.lineno, alias.name) for alias in node.names)
+            found += [(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             module = "." * node.level + (node.module or "")
-            yield from ((node.lineno, f"{module}.{alias.name}") for alias in node.names)
+            found += [(node.lineno, f"{module}.{alias.name}") for alias in node.names]
+    return found
 
 
 def complaint(room: str, imported: str) -> str:
