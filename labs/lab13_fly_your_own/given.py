@@ -83,8 +83,11 @@ def load_hall() -> dict[str, Array]:
     quaternions = scene.quaternions.astype(float)[:, [1, 2, 3, 0]]
     for _ in range(20):  # larger cells, until they are few enough
         cells = np.floor(means / side[:, None]).astype(np.int64)
-        key = np.column_stack([cells, scene.labels.astype(np.int64)])
-        _, groups = np.unique(key, axis=0, return_inverse=True)
+        cells -= cells.min(axis=0)
+        key = (*cells.T, scene.labels.astype(np.int64))
+        # one whole number for each row: sorted many times as fast as rows are
+        numbers = np.ravel_multi_index(key, [int(each.max()) + 1 for each in key])
+        _, groups = np.unique(numbers, return_inverse=True)
         if groups.max() < GAUSSIANS:
             break
         side = np.where(scene.labels < 2, 1.05 * side, side)
