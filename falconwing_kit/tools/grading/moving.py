@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 LARGEST = 1_000_000  # of one animation [bytes]
 COLOURS = (64, 32, 16)  # as many as fit into LARGEST
+LARGE = 100_000  # picture, of which a quarter of the pixels is enough for a palette [px]
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#FFFFFF")  # of the labs' figures
 
 
@@ -100,18 +101,17 @@ def gif(pictures: Sequence[Any], seconds: float) -> bytes:
 def _encode(images: Sequence[Any], seconds: float, colours: int) -> bytes:
     from PIL import Image
 
-    width, height = images[0].size
     some = np.unique(np.linspace(0, len(images) - 1, 12).astype(int))  # share one palette
-    shown = Image.new("RGB", (width, height * len(some)))
-    for row, number in enumerate(some):
-        shown.paste(images[number], (0, row * height))
-    lines = _lines_in(np.asarray(shown))
-    strip = max(height // 4, 1)  # of the colours that thin lines have: no line loses its own
-    sheet = Image.new("RGB", (width, shown.height + strip * len(lines)))
-    sheet.paste(shown, (0, 0))
-    for row, colour in enumerate(lines):
-        sheet.paste(Image.new("RGB", (width, strip), colour), (0, shown.height + row * strip))
-    palette = sheet.quantize(colours, kmeans=2)
+    shown = np.array([np.asarray(images[number]) for number in some])
+    lines = _lines_in(shown)
+    # Of large pictures a quarter of the pixels, another one in the next: what stands is seen whole.
+    step = 2 if images[0].width * images[0].height > LARGE else 1
+    parts = [
+        each[k % step :: step, k // 2 % step :: step].reshape(-1, 3) for k, each in enumerate(shown)
+    ]
+    # As many for each colour that thin lines have, so that no line loses its own.
+    parts += [np.full((max(len(parts[0]) // 4, 1), 3), line, np.uint8) for line in lines]
+    palette = Image.fromarray(np.concatenate(parts)[None]).quantize(colours, kmeans=2)
     few = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in images]
     buffer = io.BytesIO()
     few[0].save(
@@ -125,14 +125,19 @@ def _encode(images: Sequence[Any], seconds: float, colours: int) -> bytes:
     return buffer.getvalue()
 
 
-def _lines_in(pixels: Any) -> list[str]:
-    """Those of LINES that occur; any other would only tint a photograph."""
-    found = []
-    for colour in LINES:
-        rgb = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
-        if (np.abs(pixels.astype(np.int16) - rgb).max(axis=2) < 6).sum() >= 8:
-            found.append(colour)
-    return found
+def _lines_in(pixels: Any) -> list[tuple[int, ...]]:
+    """Those of LINES that occur, as RGB; any other would only tint a photograph."""
+    planes = np.ascontiguousarray(np.moveaxis(pixels, -1, 0))
+    lines = [tuple(int(colour[k : k + 2], 16) for k in (1, 3, 5)) for colour in LINES]
+    return [line for line in lines if _near(planes, line).sum() >= 8]
+
+
+def _near(planes: Any, colour: Sequence[int]) -> Any:
+    """Which pixels are less than 6 off a colour."""
+    near = np.ones(planes.shape[1:], bool)
+    for plane, value in zip(planes, colour, strict=True):
+        near &= (plane >= max(value - 5, 0)) & (plane <= min(value + 5, 255))
+    return near
 
 
 @dataclass(frozen=True)
