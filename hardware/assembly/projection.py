@@ -125,9 +125,10 @@ def shaded(parts: Sequence[Part], view: View) -> tuple[Mesh, NDArray[np.int64]]:
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     light = 0.66 + 0.34 * np.clip(normal @ (SUN / np.linalg.norm(SUN)), -0.4, 1.0)
     colour = np.array([INK if part.name in PRINTED else NEW if part.new else OLD for part in parts])
+    shades = np.clip(colour[owners] * light[:, None] * 1.06, 0.0, 255.0)  # of each triangle
+    shades[np.isin(owners, [k for k, part in enumerate(parts) if part.name in PAPER])] = WHITE
     seen = owner >= 0
-    image[seen] = np.clip(colour[owner[seen]] * light[facet[seen], None] * 1.06, 0.0, 255.0)
-    image[np.isin(owner, [k for k, part in enumerate(parts) if part.name in PAPER])] = WHITE
+    image[seen] = shades[facet[seen]]
     outline, crease = _edges(owner, depth, facet, normal)
     image[crease] = 0.45 * image[crease] + 0.55 * np.array(MIDDLE)
     image[outline] = DARK
@@ -140,17 +141,18 @@ def _edges(
     """Pixels on outlines (another part or a step in depth) and on creases (another direction)."""
     outline, crease = (np.zeros(owner.shape, dtype=bool) for _ in range(2))
     for axis in (0, 1):
-        here, there = (np.s_[:-1], np.s_[1:]) if axis == 0 else (np.s_[:, :-1], np.s_[:, 1:])
+        # Within one triangle is no edge, and a plane seen at a grazing angle has steps there.
+        places = np.nonzero(np.diff(facet, axis=axis))
+        here, there = places, (places[0] + (axis == 0), places[1] + (axis == 1))
         both = (owner[here] >= 0) & (owner[there] >= 0)
-        # A plane seen at a grazing angle has steps too, but within one triangle.
         with np.errstate(invalid="ignore"):
             jump = both & (np.abs(np.where(both, depth[here] - depth[there], 0.0)) > STEP_PX)
         cosine = (normal[facet[here]] * normal[facet[there]]).sum(axis=-1)
-        edge = (owner[here] != owner[there]) | (jump & (facet[here] != facet[there]))
+        edge = (owner[here] != owner[there]) | jump
         bent = both & ~edge & (cosine < CREASE)
         for mask, found in ((outline, edge), (crease, bent)):
-            mask[here] |= found
-            mask[there] |= found
+            for side in (here, there):
+                mask[side] |= found
     return outline, crease & ~outline
 
 
