@@ -1,5 +1,6 @@
 """Similarity: disguised copies are found, other solutions not, and common code has no weight."""
 
+import ast
 import textwrap
 
 from falconwing_kit.tools.grading.course.similar import (
@@ -95,6 +96,20 @@ def test_copy_of_the_kit_and_of_an_earlier_class_is_found(tmp_path):
         "def brake(points" in texts["brake", "before: old_dan"]
         and texts["stretch", f"kit: {name}"] == text
     )
+
+
+def test_texts_of_the_kit_are_those_of_its_files(tmp_path):
+    """Python's own cut of a small file: letters of several bytes, a function inside another, on one
+    line, with a decorator; a form feed ends no line.
+    """
+    text = (
+        "# \N{GREEK SMALL LETTER ALPHA}\n@cache\ndef outer(x):\n    s = 'ä\x0c'; y = 'ö'\n"
+        "    def inner(x): return 'ü' + x\n    return inner\ndef one(x): return 'ß'"
+    )
+    (tmp_path / "part.py").write_text(text, encoding="utf-8")
+    functions = [each for each in ast.walk(ast.parse(text)) if isinstance(each, ast.FunctionDef)]
+    expected = {f"part.{each.name}": ast.get_source_segment(text, each) for each in functions}
+    assert kit_functions(tmp_path) == expected and len(expected) == 3
 
 
 def test_huge_functions_are_not_compared():

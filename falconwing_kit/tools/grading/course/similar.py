@@ -182,11 +182,25 @@ def kit_functions(folder: Path | None = None) -> dict[str, str]:
     found = {}
     for path in sorted(root.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
+        lines = text.encode().splitlines(keepends=True)
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef):
                 place = ".".join((*path.relative_to(root).with_suffix("").parts, node.name))
-                found[place] = ast.get_source_segment(text, node) or ""
+                found[place] = _source(lines, node)
     return found
+
+
+def _source(lines: list[bytes], node: ast.FunctionDef) -> str:
+    """A function's text, as of `ast.get_source_segment`, which cuts the file into lines each time.
+
+    Args:
+        lines: of the file, with their ends; places in them are counted in bytes.
+        node: the function.
+    """
+    inside = lines[node.lineno - 1 : node.end_lineno]
+    inside[-1] = inside[-1][: node.end_col_offset]
+    inside[0] = inside[0][node.col_offset :]
+    return b"".join(inside).decode()
 
 
 def compare_class(
