@@ -10,7 +10,8 @@ import tempfile
 from pathlib import Path
 
 TESTS = Path(__file__).parent
-# Files and rooms, and why. Processor time is measured too: beside a busy neighbour a core is
+# Files and rooms, and why; commands in real time that a page asks to be typed have the mark each by
+# itself (tests/stories/pages.py). Processor time is measured too: beside a busy neighbour a core is
 # slower.
 ALONE = {
     "tools/classroom/test_splats_page.py": "a browser",
@@ -22,21 +23,25 @@ ALONE = {
     "tools/cli/test_calibrate.py": "a board in real time",
     "tools/cli/test_fly_aircraft.py": "a board and a camera in real time",
     "tools/classroom/test_share.py": "a browser",
-    "tools/demo/test_alfa_gap.py": "the long demo that README's test runs too: once in one process",
-    "tools/demo/test_recorded.py": "the same demo",
     "firmware/test_ros_latency.py": "from image to pulses in real time",
     "tools/bridge/test_bag.py": "ROS plays a flight in real time",
     "flight/test_loop.py": "a loop on the wall's clock",
     "tools/bridge/test_recording.py": "recordings that are killed as they go",
     "tools/classroom/test_pages.py": "a browser and a page's server",
-    "tools/grading": "the sandbox's time limits, and processes that it may not leave behind",
-    "manual/test_commands.py": "commands in real time",
+    "tools/grading/test_attacks.py": "the sandbox's time limits, and processes that may not remain",
+    "tools/grading/test_collect.py": "processor time",
+    "tools/grading/test_figures.py": "the sandbox's time limits, and processes that may not remain",
+    "tools/grading/test_grade.py": "graders that are killed as they go, and what may not remain",
+    "tools/grading/test_public_checks.py": "further questions to a wrong function in a second",
+    "tools/grading/test_quiz.py": "the wall's clock",
+    "tools/grading/test_salt.py": "processor time",
+    "tools/grading/test_sandbox.py": "the sandbox's time limits, and processes that may not remain",
+    "tools/grading/test_submissions.py": "processor time",
     "manual/test_lectures.py": "processor time",
     "manual/test_manual.py": "processor time",
     "manual/test_site.py": "processor time and a browser",
     "stories/test_host_killed.py": "a flight in real time",
     "stories/test_live_demo.py": "a browser beside a flight in real time",
-    "stories/test_readme.py": "commands in real time, or of two processes",
     "tools/bridge/test_bus.py": "ROS",
     "trainer_port/test_links.py": "a board behind a pseudo-terminal in real time",
     "tools/bridge/test_ros.py": "ROS",
@@ -48,6 +53,8 @@ ALONE = {
 # other waits.
 LONGEST = (
     "sysid/test_identify.py",
+    "stories/test_readme.py",
+    "tools/demo/test_recorded.py",
     "stories/test_blind_naming.py",
     "stories/test_page_commands.py",
     "gap/test_name.py",
@@ -57,6 +64,7 @@ LONGEST = (
     "labs/test_grades.py",
     "aircraft/test_integrate.py",
     "stories/test_manual_photos.py",
+    "tools/grading/test_report.py",
     "core/test_fuzz.py",
 )
 

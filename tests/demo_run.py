@@ -1,6 +1,4 @@
-"""One run of `falconwing demo` that all tests of its files and words share: it takes a minute and a
-half.
-"""
+"""One run of `falconwing demo`, which takes minutes, for all tests of what it writes and says."""
 
 import contextlib
 import io

@@ -12,9 +12,7 @@ from tests.alone import ALONE, LONGEST, TESTS, keep_apart, needs_the_machine, pl
 
 # What a test takes that there is once on a machine, that lives in real time, or that many take and
 # takes minutes.
-SIGNS = re.compile(
-    r"\b(?:ros_master|playwright|BoardOnPty|WallClock|process_time|in_box|demo_run)\b"
-)
+SIGNS = re.compile(r"\b(?:ros_master|playwright|BoardOnPty|WallClock|process_time|in_box)\b")
 ROOMS = [
     folder for folder in TESTS.iterdir() if folder.name not in ("benchmarks", "house")
 ]  # these only speak of them
@@ -28,7 +26,7 @@ def test_what_is_named_is_there():
 
 def test_what_takes_the_machine_is_named():
     """Its source speaks of ROS, a browser, a terminal's board, the wall's clock, processor time, a
-    box, the demo.
+    box.
     """
     tests = [path for room in ROOMS for path in room.rglob("test_*.py")]
     taking = [path for path in tests if SIGNS.search(path.read_text(encoding="utf-8"))]
@@ -36,9 +34,17 @@ def test_what_takes_the_machine_is_named():
     assert [path for path in taking if not needs_the_machine(path)] == []
 
 
-def test_a_room_is_named_with_its_files():
-    """By hand: grading is named as a room, a room of which one file is named has others."""
-    assert needs_the_machine(TESTS / "tools" / "grading" / "test_box.py")
+def test_one_file_runs_the_long_demo():
+    """Files are shared among processes: a second one would run it again."""
+    files = [path for room in ROOMS for path in room.rglob("test_*.py")]
+    using = [path for path in files if "demo_run" in path.read_text(encoding="utf-8")]
+    assert using == [TESTS / "tools" / "demo" / "test_recorded.py"]
+
+
+def test_a_room_is_named_with_its_files(monkeypatch):
+    """By hand: a room that is named has every file; one of which a file is named has others."""
+    monkeypatch.setitem(ALONE, "tools/caves", "dark")
+    assert needs_the_machine(TESTS / "tools" / "caves" / "test_bats.py")
     assert needs_the_machine(TESTS / "vision" / "test_monitor.py")
     assert not needs_the_machine(TESTS / "vision" / "test_monitor_flights.py")
 

@@ -19,6 +19,7 @@ from falconwing_kit.trainer_port.usb import find_boards
 from tests.firmware.chip import require_tools
 from tests.manual.book import MANUAL, ROOT, commands, elements, page
 from tests.model_files import write_windy_model
+from tests.stories.pages import marked
 
 RUNS = list(dict.fromkeys(line for kind, line in commands() if kind == "runs"))
 LONG = (
@@ -84,7 +85,7 @@ def test_commands_of_the_assembly_run(line, tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:the calibration")
-@pytest.mark.parametrize("line", [line for line in RUNS if line.split()[1] not in LONG])
+@pytest.mark.parametrize("line", marked(line for line in RUNS if line.split()[1] not in LONG))
 def test_command_runs(line, folder, monkeypatch, capsys):
     """Typed as printed, with no terminal to answer; 0 means done (no board is a no), and what --out
     names is there.

@@ -2,12 +2,16 @@
 typed: which these are, a folder to type them in, and how one is run.
 """
 
+import importlib.util
 import re
 import shlex
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+import pytest
 
 from falconwing_kit.core.flight_log import FlightLogWriter
 from falconwing_kit.core.messages import Command, State
@@ -66,11 +70,10 @@ def commands(*texts: str) -> list[str]:
 
 OURS = [line for line in commands() if shlex.split(line)[0] == "falconwing"]
 STARTS = [line for line in commands() if line.startswith("python3 start.py")]
-# Verbs that keep to the wall's clock, or start programs that do, or share their work among two
-# processes; `fly` keeps to the clock with a port.
+# Verbs that keep to the wall's clock, or start programs that do; `fly` keeps to the clock with a
+# port.
 ALONE = {
-    "bench", "bridge", "calibrate", "class", "demo", "doctor", "find-port", "firmware", "grade",
-    "record", "report", "reproduce", "sandbox",
+    "bench", "bridge", "calibrate", "class", "doctor", "find-port", "firmware", "record", "sandbox",
 }  # fmt: skip
 
 
@@ -79,6 +82,34 @@ def needs_the_machine(line: str) -> bool:
     words = shlex.split(line)[1:]
     with_port = words[0] == "fly" and {"--port", "--bench"} & set(words)
     return words[0] in ALONE or bool(with_port)
+
+
+def takes_minutes(line: str) -> bool:
+    """Whether a command of the kit takes minutes of processor time."""
+    return shlex.split(line)[1] in {"demo", "reproduce"}
+
+
+def marked(lines: Iterable[str]) -> list[pytest.ParameterSet]:
+    """Commands as parameters of a test, those that need the machine to themselves with that mark;
+    those of minutes have more of them, since a neighbour may take half of the machine.
+    """
+    alone, long = [pytest.mark.alone], [pytest.mark.timeout(900)]
+    return [
+        pytest.param(
+            line, marks=alone if needs_the_machine(line) else long if takes_minutes(line) else []
+        )
+        for line in lines
+    ]
+
+
+def figures_of_the_manual() -> ModuleType:
+    """The script that draws them, as a module."""
+    spec = importlib.util.spec_from_file_location(
+        "make_figures", ROOT / "manual" / "figures" / "make_figures.py"
+    )
+    make = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(make)
+    return make
 
 
 def grade_by_hand(out):

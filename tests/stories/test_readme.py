@@ -14,7 +14,6 @@ import pytest
 from falconwing_kit import __version__
 from falconwing_kit.core.flight_table import LABEL_COLUMN, OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 from falconwing_kit.tools.cli.main import VERBS
-from tests.demo_run import WORDS, demo_run
 from tests.stories.pages import (
     AROUND,
     INLINE,
@@ -26,24 +25,21 @@ from tests.stories.pages import (
     TABLE,
     commands,
     fenced,
+    figures_of_the_manual,
     make_folder,
+    marked,
     needs_the_machine,
     page,
     run_as_typed,
+    takes_minutes,
 )
 
-
-def figures_of_the_manual():
-    """The script that draws them, as a module."""
-    spec = importlib.util.spec_from_file_location(
-        "make_figures", ROOT / "manual" / "figures" / "make_figures.py"
-    )
-    make = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(make)
-    return make
-
-
-BY_ITSELF = [line for line in OURS if needs_the_machine(line) and " demo " not in line]
+# What test_page_commands.py leaves; tests/tools/demo/test_recorded.py types the demo.
+TYPED_HERE = [
+    line
+    for line in OURS
+    if needs_the_machine(line) or (takes_minutes(line) and " demo " not in line)
+]
 
 
 @pytest.fixture
@@ -74,7 +70,7 @@ def test_no_command_escapes():
     ]
 
 
-@pytest.mark.parametrize("line", BY_ITSELF)
+@pytest.mark.parametrize("line", marked(TYPED_HERE))
 def test_command_runs(line, folder, capsys):
     """Typed as printed, in a folder with a flight and a log."""
     run_as_typed(line, folder, capsys)
@@ -108,36 +104,6 @@ def test_start_hands_the_verb_over(line, tmp_path, monkeypatch):
         assert run[-1][1:3] == ["-m", "pytest"] and not options
     else:
         assert run[-1][1:] == [verb, *options] and verb in [name for name, *_ in VERBS]
-
-
-def test_demo_says_what_the_quick_start_shows():
-    """The block of that page against a fresh run, line by line.
-
-    Words must be the same. Numbers may differ by a quarter: another processor rounds differently,
-    which the one-step fit on raw differences makes large; a change of the answer is larger than
-    that.
-    """
-    (line,) = [line for line in OURS if " demo " in line]
-    run = demo_run()
-    assert shlex.split(line)[1:] == list(WORDS) and run.code == 0
-    (shown,) = fenced("text", page("quick_start.md"))
-    number = re.compile(r"\d+\.?\d*")
-    for ours, theirs in zip(run.printed.splitlines(), shown.splitlines(), strict=False):
-        assert number.sub("#", ours).split() == number.sub("#", theirs).split()
-        values, expected = ([float(x) for x in number.findall(text)] for text in (ours, theirs))
-        assert values == pytest.approx(expected, rel=0.25)
-
-
-def test_picture_is_small_and_can_be_made_again(tmp_path):
-    """From what the demo found, to the same size in pixels; 300 kB are a second on a slow
-    connection.
-    """
-    make = figures_of_the_manual()
-    make.draw_identify_demo(demo_run().found, tmp_path / "again.png")
-    ours = ROOT / "manual" / "figures" / "identify_demo.png"
-    assert ours.stat().st_size < 300_000
-    size = slice(16, 24)  # width and height in a PNG's header
-    assert ours.read_bytes()[size] == (tmp_path / "again.png").read_bytes()[size]
 
 
 @pytest.mark.parametrize("name", ["hall", "trained_hall"])

@@ -5,6 +5,8 @@ all.
 import contextlib
 import json
 import os
+import re
+import shlex
 import signal
 import webbrowser
 from dataclasses import replace
@@ -18,9 +20,11 @@ from falconwing_kit.gap.close import Onset
 from falconwing_kit.sysid.model_file import read_model
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.tools.demo import approach, recorded
-from tests.demo_run import demo_run
+from tests.demo_run import WORDS, demo_run
+from tests.stories.pages import OURS, ROOT, fenced, figures_of_the_manual, page
 from tests.tools.reports.test_page import page_problems
 
+pytestmark = pytest.mark.timeout(900)  # the whole demo, while a neighbour may take half the machine
 FIGURES = (
     "flight_film",
     "flight_fpv",
@@ -50,11 +54,19 @@ OTHERS = (
     "model_alfa.toml",
 )
 
+ENGINE_OFF = 116.166  # s: the log's first "engine off" message, data/README.md
+
 
 @pytest.fixture(scope="module")
 def run():
     """The verb as it is typed, once for all tests."""
     return demo_run()
+
+
+@pytest.fixture
+def gap(run):
+    """Its answer on the real flight's engine failure."""
+    return run.found.alfa_gap
 
 
 @pytest.fixture
@@ -111,6 +123,35 @@ def test_terminal_says_what_is_simulated_and_what_is_real(run):
 def test_it_complains_of_nothing(run):
     """Both flights are fine, so a warning would only frighten a newcomer."""
     assert all(line.startswith("demo: ") for line in run.complained.splitlines())  # its progress
+
+
+def test_demo_says_what_the_quick_start_shows(run):
+    """The block of that page against a fresh run, line by line.
+
+    Words must be the same. Numbers may differ by a quarter: another processor rounds differently,
+    which the one-step fit on raw differences makes large; a change of the answer is larger than
+    that.
+    """
+    (line,) = [line for line in OURS if " demo " in line]
+    assert shlex.split(line)[1:] == list(WORDS) and run.code == 0
+    (shown,) = fenced("text", page("quick_start.md"))
+    number = re.compile(r"\d+\.?\d*")
+    for ours, theirs in zip(run.printed.splitlines(), shown.splitlines(), strict=False):
+        assert number.sub("#", ours).split() == number.sub("#", theirs).split()
+        values, expected = ([float(x) for x in number.findall(text)] for text in (ours, theirs))
+        assert values == pytest.approx(expected, rel=0.25)
+
+
+def test_picture_is_small_and_can_be_made_again(run, tmp_path):
+    """From what the demo found, to the same size in pixels; 300 kB are a second on a slow
+    connection.
+    """
+    make = figures_of_the_manual()
+    make.draw_identify_demo(run.found, tmp_path / "again.png")
+    ours = ROOT / "manual" / "figures" / "identify_demo.png"
+    assert ours.stat().st_size < 300_000
+    size = slice(16, 24)  # width and height in a PNG's header
+    assert ours.read_bytes()[size] == (tmp_path / "again.png").read_bytes()[size]
 
 
 def test_numbers_tell_the_story_of_the_release(run):
@@ -213,6 +254,61 @@ def test_page_owns_up_to_the_attitude_after_the_failure(run):
     assert f"{rms:.0f}° rms at a 1 s horizon" in (run.out / "index.html").read_text(
         encoding="utf-8"
     )
+
+
+def test_failure_shows_without_the_throttle(gap):
+    """Recorded data: the engine is off, and the loss of thrust has far more evidence than chance
+    finds before it.
+    """
+    assert gap.verdict != "none"
+    assert gap.thrust_loss.delta_bic > 3.0 * gap.threshold
+    assert "thrust_loss" in [s.effect.name for s in gap.chosen]
+
+
+def test_failure_is_dated_within_two_seconds(gap):
+    """The log's engine-off message, which the fit has not read, is the truth; two seconds are the
+    goal of the kit.
+    """
+    loss = gap.thrust_loss
+    assert loss.time == pytest.approx(ENGINE_OFF, abs=2.0)
+    assert loss.earliest < ENGINE_OFF < loss.latest
+
+
+def test_all_of_the_thrust_is_gone(gap):
+    """The engine is off, so the share lost is one; half of it gone would not do."""
+    loss = gap.thrust_loss
+    assert loss.low95 < 1.0 < loss.high95
+    assert loss.value == pytest.approx(1.0, abs=0.3)
+
+
+def test_what_the_poses_do_not_tell_is_not_told(gap):
+    """Drag and thrust slow the aircraft alike at one throttle: while both are within 10 of each
+    other none is named.
+    """
+    gains = {s.effect.name: s.delta_bic for s in gap.hypotheses}
+    rivals = [name for name, delta_bic in gains.items() if delta_bic > max(gains.values()) - 10.0]
+    assert (gap.verdict == "named") == (len(rivals) == 1)
+    assert [s.effect.name for s in gap.chosen] == rivals
+
+
+def test_logged_throttle_explains_as_much_as_any_effect_with_nothing_fitted(gap):
+    """The throttle's servo closes with the engine; each effect had a size and a time to choose, the
+    log had none.
+    """
+    best = gap.hypotheses[0].delta_bic
+    assert gap.logged_throttle_gain == pytest.approx(best, abs=0.25 * best)
+    assert gap.after < gap.before
+
+
+def test_stretch_ends_where_a_stick_leaves_its_healthy_range(run, gap):
+    """Worked out here from the table: elevator above its largest value before the failure, 0.185,
+    at 125.55 s.
+    """
+    table = run.found.alfa.table
+    healthy = table.t < ENGINE_OFF
+    high = table.commands[healthy, 2].max()
+    assert gap.end == table.t[~healthy & (table.commands[:, 2] > high)][0]
+    assert np.all(table.commands[(table.t < gap.end), 2] <= high)
 
 
 def test_warnings_are_text_and_no_markup(run, tmp_path):
