@@ -52,6 +52,7 @@ VIEWS = {
     "flown": "flights by random waypoints, ten of each",
     "anywhere": "places anywhere in the hall, rolled by 25 deg and more, as in the training",
 }
+LINKS = {"flown": ("digital", "analog"), "anywhere": ("digital",)}  # cameras that see them
 WORLD_TITLES = {"paper": "the paper's starts", "reality": "flown by JSBSim", "curved": "from aside"}
 BY_IMAGES = ("rgb", "pose")  # pilots that stand in the rows of the paper's RGB
 FLIGHT = "case02_calm.csv"  # identified; shipped
@@ -307,8 +308,9 @@ def pose_network(job: Job) -> Part:
                      'needs PyTorch: pip install "falconwing-kit[torch]"'),
         ))  # fmt: skip
     errors = {
-        (views, link): _pose_errors(job, views, link)
-        for views, link in (("flown", "digital"), ("flown", "analog"), ("anywhere", "digital"))
+        (views, link): values
+        for views in LINKS
+        for link, values in _pose_errors(job, views).items()
     }
     rows = []
     for (views, link), values in errors.items():
@@ -344,27 +346,33 @@ def pose_network(job: Job) -> Part:
     return Part(tuple(rows), (Figure(path.name, "histograms of the errors", caption),))
 
 
-def _pose_errors(job: Job, views: str, link: str) -> Array:
-    """(N, 2) position [m] and yaw errors [deg]; images are shared by the workers and kept."""
+def _pose_errors(job: Job, views: str) -> dict[str, Array]:
+    """(N, 2) position [m] and yaw errors [deg] by link; images are shared by the workers and
+    results kept.
+    """
     from falconwing_kit.tools.jobs.run import WorkerLostError, parallel_map
 
     chunks = job.amount.images // POSE_CHUNK
-    items = [(views, link, number, weights_digest()) for number in range(chunks)]
-    found: dict[int, list[list[float]]] = {}
+    items = [(views, number, weights_digest()) for number in range(chunks)]
+    found: dict[int, dict[str, list[list[float]]]] = {}
     for item, result in parallel_map(evaluate_views, items, job.workers, out=job.out / "images"):
         if isinstance(result, WorkerLostError):
             raise RuntimeError(f"pose network: {result}")
-        found[item[2]] = result
+        found[item[1]] = result
         done = POSE_CHUNK * len(found)
-        job.progress(f"pose_network: {views}, {link}, image {done} of {job.amount.images}")
-    return np.concatenate([found[number] for number in range(chunks)])
+        job.progress(f"pose_network: {views}, image {done} of {job.amount.images}")
+    return {
+        link: np.concatenate([found[number][link] for number in range(chunks)])
+        for link in LINKS[views]
+    }
 
 
-def evaluate_views(item: tuple[str, str, int, str]) -> list[list[float]]:
-    """Position [m] and yaw errors [deg] of the pose network on POSE_CHUNK rendered views.
+def evaluate_views(item: tuple[str, int, str]) -> dict[str, list[list[float]]]:
+    """Position [m] and yaw errors [deg] of the pose network on POSE_CHUNK rendered views, by the
+    link that the images come over.
 
     Args:
-        item: a key of VIEWS, "digital" or "analog", number of the chunk, digest of the weights.
+        item: a key of VIEWS, number of the chunk, digest of the weights.
     """
     from falconwing_kit.flight.sources import fpv_camera
     from falconwing_kit.learning.pose_net_figures import evaluate_poses
@@ -373,7 +381,7 @@ def evaluate_views(item: tuple[str, str, int, str]) -> list[list[float]]:
     from falconwing_kit.scene.analog import scene_link
     from falconwing_kit.vision import PoseNet
 
-    views, link_name, number, _ = item
+    views, number, _ = item
     net, camera = PoseNet.load(SCENE), fpv_camera(*SIZE)
     draw = make_renderer(load_scene(SCENE), upscale_camera(camera), "fast")
     low, high = np.array(net.record.low), np.array(net.record.high)
@@ -381,13 +389,16 @@ def evaluate_views(item: tuple[str, str, int, str]) -> list[list[float]]:
     images, poses = (
         _flown_views(draw, number, rng) if views == "flown" else _random_views(draw, low, high, rng)
     )
-    link = scene_link("hall_analog") if link_name == "analog" else None
-    if link is not None:
-        first = POSE_CHUNK * number
-        images = [link.apply(image, first + k) for k, image in enumerate(images)]
-    found = evaluate_poses(net, images, camera, poses)
-    yaw_deg = np.degrees(np.abs(found.angles[:, 2]))
-    return [[float(a), float(b)] for a, b in zip(found.position, yaw_deg, strict=True)]
+    errors = {}
+    for name in LINKS[views]:
+        link, seen = scene_link("hall_analog") if name == "analog" else None, images
+        if link is not None:
+            first = POSE_CHUNK * number
+            seen = [link.apply(image, first + k) for k, image in enumerate(images)]
+        found = evaluate_poses(net, seen, camera, poses)
+        yaw_deg = np.degrees(np.abs(found.angles[:, 2]))
+        errors[name] = [[float(a), float(b)] for a, b in zip(found.position, yaw_deg, strict=True)]
+    return errors
 
 
 def _flown_views(draw: Any, number: int, rng: np.random.Generator) -> tuple[list[Any], Array]:

@@ -16,6 +16,7 @@ from falconwing_kit.tools.cli.main import VERBS, main
 from falconwing_kit.tools.trials import reproduction
 from falconwing_kit.tools.trials.paper_figures import PAPER
 from falconwing_kit.tools.trials.reproduction import (
+    LINKS,
     PARTS,
     QUICK,
     SHARES,
@@ -156,7 +157,8 @@ def test_pose_network_is_judged_by_its_mean(job, monkeypatch):
     chunk = np.array([[0.1, 1.0]] * 9 + [[3.3, 14.7]])
 
     def known(function, items, workers, out):
-        yield from ((item, ((0.5 + item[2] % 2) * chunk).tolist()) for item in items)
+        for item in items:
+            yield item, dict.fromkeys(LINKS[item[0]], ((0.5 + item[1] % 2) * chunk).tolist())
 
     monkeypatch.setattr("falconwing_kit.tools.jobs.run.parallel_map", known)
     rows = reproduction.pose_network(job).rows
@@ -168,10 +170,10 @@ def test_views_of_the_pose_network_are_the_same_each_time():
     """A view is drawn by its number alone, so that workers and a second run give the same; the
     analog link changes it.
     """
-    first, again = (evaluate_views(("flown", link, 0, "")) for link in ("digital", "digital"))
-    analog = evaluate_views(("flown", "analog", 0, ""))
-    assert first == again and np.shape(first) == (10, 2) and np.isfinite(first).all()
-    assert analog != first and np.median(first, axis=0)[0] < 2.0
+    first, again = (evaluate_views(("flown", 0, "")) for _ in range(2))
+    digital, analog = first["digital"], first["analog"]
+    assert first == again and np.shape(digital) == (10, 2) and np.isfinite(digital).all()
+    assert analog != digital and np.median(digital, axis=0)[0] < 2.0
 
 
 def test_parts_are_kept_and_computed_again_for_other_weights(job, monkeypatch):
