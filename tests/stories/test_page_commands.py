@@ -2,6 +2,8 @@
 to themselves, or minutes, are in test_readme.py.
 """
 
+import io
+
 import pytest
 
 from tests.stories.pages import OURS, make_folder, needs_the_machine, run_as_typed, takes_minutes
@@ -14,6 +16,7 @@ def folder(tmp_path, monkeypatch):
     """A folder as the reader has it, to type commands in."""
     make_folder(tmp_path)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
     return tmp_path
 
 

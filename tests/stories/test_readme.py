@@ -3,6 +3,7 @@ says, their tables name what is there.
 """
 
 import importlib.util
+import io
 import re
 import shlex
 import shutil
@@ -47,6 +48,7 @@ def folder(tmp_path, monkeypatch):
     """A folder as the reader has it, to type commands in."""
     make_folder(tmp_path)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
     return tmp_path
 
 
