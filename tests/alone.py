@@ -1,8 +1,8 @@
 """Which tests need the machine to themselves, which begin first, and how each of several processes
 keeps to itself.
 
-`python3 start.py test` has two processes share the files of tests; those of ALONE run afterwards,
-one by one.
+`python3 start.py test` has two processes share the files of tests; those of ALONE, and tests with
+the mark `alone` of their own, run afterwards, one by one.
 """
 
 import os
@@ -10,9 +10,8 @@ import tempfile
 from pathlib import Path
 
 TESTS = Path(__file__).parent
-# Files and rooms, and why; commands in real time that a page asks to be typed have the mark each by
-# itself (tests/stories/pages.py). Processor time is measured too: beside a busy neighbour a core is
-# slower.
+# Files and rooms, and why; commands that a page asks to be typed are marked in
+# tests/stories/pages.py. Processor time is measured too: beside a busy neighbour a core is slower.
 ALONE = {
     "tools/classroom/test_splats_page.py": "a browser",
     "tools/cli/test_bridge.py": "a board in real time, and Ctrl-C",
@@ -53,7 +52,6 @@ ALONE = {
 # other waits.
 LONGEST = (
     "sysid/test_identify.py",
-    "stories/test_readme.py",
     "tools/demo/test_recorded.py",
     "stories/test_blind_naming.py",
     "stories/test_page_commands.py",

@@ -97,7 +97,7 @@ def load_hall() -> dict[str, Array]:
         "quaternions_xyzw": quaternions,
         "opacities": scene.opacities.astype(float),
         "colours": colours,
-        "groups": groups.ravel(),
+        "groups": groups,
     }
 
 

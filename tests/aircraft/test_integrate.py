@@ -9,7 +9,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from falconwing_kit.aircraft.effects import CATALOGUE
-from falconwing_kit.aircraft.integrate import ROLL_OUTS, SUBSTEPS, fly, roll_out, step_batch
+from falconwing_kit.aircraft.integrate import (
+    ROLL_OUTS,
+    SUBSTEPS,
+    advance,
+    fly,
+    roll_out,
+    step_batch,
+)
 from falconwing_kit.aircraft.model import (
     FORMS,
     add_uniform_wind,
@@ -110,6 +117,17 @@ def test_halving_the_step_divides_the_error_by_sixteen(form, backend, rng):
 
 
 @pytest.mark.parametrize("form", FORMS)
+def test_one_aircraft_flies_as_in_a_batch_of_one(form, rng):
+    """The same arithmetic on numbers and on arrays of one, to the bit; the input map included."""
+    model = MODELS[form]
+    (start,), (commands,) = flights(model, rng, count=1, steps=20)
+    times = 0.05 * np.arange(20)
+    one = advance(model, 0.2, 0.9, start, times, commands)
+    (other,) = advance(model, 0.2, 0.9, start[:, None], times, commands).T
+    assert one.shape == (model.n_states,) and np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_compiled_equals_batch_to_rounding(form, rng):
     """The same arithmetic; 40 steps of numbers near 10 leave 1e-12, twice over for a spiral that
     grows.
@@ -124,7 +142,8 @@ def test_compiled_equals_batch_to_rounding(form, rng):
 
 def test_every_effect_flies_compiled_as_in_batch(rng):
     """The same arithmetic, with every load and wind of the catalogue in one model, compiled once;
-    each at its starting value, where it changes the flight.
+    each at its starting value, where it changes the flight. One wind by itself, and a load made of
+    the model's own terms, are compiled apart.
     """
     plain = model = MODELS["rates"]
     effects = [effect for effect in CATALOGUE if effect.changes_flow]
@@ -134,8 +153,11 @@ def test_every_effect_flies_compiled_as_in_batch(rng):
         alone = roll_out(plain.with_effect(effect), start, mean, 0.025)
         assert np.abs(alone - flown).max() > 1e-6, effect.name
         model = model.with_effect(effect)
-    one, other = (roll_out(model, start, mean, 0.025, backend) for backend in ROLL_OUTS)
-    assert np.isfinite(one).all() and np.abs(one - other).max() < 1e-10
+    wind = next(effect for effect in effects if effect.wind_field)
+    load = next(effect for effect in effects if effect.loads_of)
+    for each in (model, plain.with_effect(wind).with_effect(load)):
+        one, other = (roll_out(each, start, mean, 0.025, backend) for backend in ROLL_OUTS)
+        assert np.isfinite(one).all() and np.abs(one - other).max() < 1e-10
 
 
 @pytest.mark.parametrize("backend", ROLL_OUTS)

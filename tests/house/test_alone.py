@@ -10,9 +10,11 @@ import pytest
 
 from tests.alone import ALONE, LONGEST, TESTS, keep_apart, needs_the_machine, place_in_line
 
-# What a test takes that there is once on a machine, that lives in real time, or that many take and
-# takes minutes.
-SIGNS = re.compile(r"\b(?:ros_master|playwright|BoardOnPty|WallClock|process_time|in_box)\b")
+# What a test takes that there is once on a machine or that lives in real time.
+SIGNS = re.compile(
+    r"\b(?:ros_master|headless_chromium|BoardOnPty|WallClock|process_time|in_box|groups_left"
+    r"|processes_with)\b"
+)
 ROOMS = [
     folder for folder in TESTS.iterdir() if folder.name not in ("benchmarks", "house")
 ]  # these only speak of them
@@ -26,12 +28,13 @@ def test_what_is_named_is_there():
 
 def test_what_takes_the_machine_is_named():
     """Its source speaks of ROS, a browser, a terminal's board, the wall's clock, processor time, a
-    box.
+    box, processes that are left: its file is named, or has tests with the mark.
     """
     tests = [path for room in ROOMS for path in room.rglob("test_*.py")]
     taking = [path for path in tests if SIGNS.search(path.read_text(encoding="utf-8"))]
     assert len(taking) > 10
-    assert [path for path in taking if not needs_the_machine(path)] == []
+    beside = [path for path in taking if not needs_the_machine(path)]
+    assert [path for path in beside if "pytest.mark.alone" not in path.read_text("utf-8")] == []
 
 
 def test_one_file_runs_the_long_demo():
@@ -57,16 +60,20 @@ def test_the_longest_are_first_in_line():
 
 
 def test_both_steps_are_all_the_tests():
-    """pytest's own collection of tests/house and a file that is alone: what the one step leaves the
-    other takes.
+    """pytest's own collection of a file of either step and of one of both: what the one step leaves
+    the other takes.
     """
-    places = ["tests/house/test_start.py", "tests/tools/bridge/test_bus.py"]
+    readme = "tests/stories/test_readme.py"
+    places = ["tests/house/test_start.py", "tests/tools/bridge/test_bus.py", readme]
     found = [
         collected(marks, places)
         for marks in ("not benchmark and not alone", "alone and not benchmark")
     ]
-    assert {name.split("::")[0] for name in found[0]} == {places[0]}
-    assert {name.split("::")[0] for name in found[1]} == {places[1]}
+    assert {name.split("::")[0] for name in found[0]} == {places[0], readme}
+    assert {name.split("::")[0] for name in found[1]} == {places[1], readme}
+    commands = f"{readme}::test_command_runs"
+    typed = [name for name in found[0] + found[1] if name.startswith(commands)]
+    assert len(typed) > 10 and set(typed) <= set(found[1])
     assert set(found[0] + found[1]) == set(collected("not benchmark", places))
 
 

@@ -42,10 +42,12 @@ def test_a_film_of_noise_fits_into_its_limit(monkeypatch):
     assert film.n_frames * film.info["duration"] == 1600  # the film lasts as long as before
 
 
-def test_no_picture_is_refused():
-    """A film of nothing."""
+def test_no_picture_and_two_sizes_are_refused():
+    """A film of nothing, and one whose pictures do not fit each other."""
     with pytest.raises(InputError, match="at least one"):
         moving.gif([], 0.1)
+    with pytest.raises(InputError, match=r"one size, got \(4, 6\) and \(5, 6\)"):
+        moving.gif([np.zeros((4, 6)), np.zeros((5, 6, 3))], 0.1)
 
 
 def test_a_thin_line_keeps_its_colour_beside_a_photograph():

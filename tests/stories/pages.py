@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,11 +71,13 @@ def commands(*texts: str) -> list[str]:
 
 OURS = [line for line in commands() if shlex.split(line)[0] == "falconwing"]
 STARTS = [line for line in commands() if line.startswith("python3 start.py")]
-# Verbs that keep to the wall's clock, or start programs that do; `fly` keeps to the clock with a
-# port.
+# Verbs that keep to the wall's clock, start programs that do, or share their work among processes
+# with one cache of numba; `fly` keeps to the clock with a port.
 ALONE = {
-    "bench", "bridge", "calibrate", "class", "doctor", "find-port", "firmware", "record", "sandbox",
+    "bench", "bridge", "calibrate", "class", "doctor", "find-port", "firmware", "record",
+    "reproduce", "sandbox",
 }  # fmt: skip
+LONG = {"demo", "reproduce"}  # verbs that may take minutes
 
 
 def needs_the_machine(line: str) -> bool:
@@ -84,22 +87,16 @@ def needs_the_machine(line: str) -> bool:
     return words[0] in ALONE or bool(with_port)
 
 
-def takes_minutes(line: str) -> bool:
-    """Whether a command of the kit takes minutes of processor time."""
-    return shlex.split(line)[1] in {"demo", "reproduce"}
-
-
-def marked(lines: Iterable[str]) -> list[pytest.ParameterSet]:
+def marked(lines: Iterable[str]) -> list[Any]:
     """Commands as parameters of a test, those that need the machine to themselves with that mark;
-    those of minutes have more of them, since a neighbour may take half of the machine.
+    long ones have more time.
     """
-    alone, long = [pytest.mark.alone], [pytest.mark.timeout(900)]
-    return [
-        pytest.param(
-            line, marks=alone if needs_the_machine(line) else long if takes_minutes(line) else []
-        )
-        for line in lines
-    ]
+    parameters = []
+    for line in lines:
+        marks = [pytest.mark.alone] if needs_the_machine(line) else []
+        marks += [pytest.mark.timeout(900)] if shlex.split(line)[1] in LONG else []
+        parameters.append(pytest.param(line, marks=marks))
+    return parameters
 
 
 def figures_of_the_manual() -> ModuleType:
@@ -177,4 +174,4 @@ def run_as_typed(line, folder, capsys):
     for option in ("--out", "--figures"):
         if option in words:
             assert (folder / words[words.index(option) + 1]).exists()
-    assert capsys.readouterr().out.count("\n") > 3 or words[0] == "find-port"
+    assert capsys.readouterr().out.count("\n") > (1 if words[0] == "find-port" else 3)

@@ -1,14 +1,14 @@
 """Every command that README and the site's pages ask to be typed runs; those that need the machine
-to themselves, or minutes, are in test_readme.py.
+to themselves are in test_readme.py, the demo in tests/tools/demo/test_recorded.py.
 """
 
 import io
 
 import pytest
 
-from tests.stories.pages import OURS, make_folder, needs_the_machine, run_as_typed, takes_minutes
+from tests.stories.pages import OURS, make_folder, needs_the_machine, run_as_typed
 
-TYPED_HERE = [line for line in OURS if not (needs_the_machine(line) or takes_minutes(line))]
+TYPED_HERE = [line for line in OURS if not (needs_the_machine(line) or " demo" in line)]
 
 
 @pytest.fixture

@@ -1,5 +1,5 @@
-"""README and the site's own pages are true: their commands run, their figures are what the demo
-says, their tables name what is there.
+"""README and the site's own pages are true: those of their commands run that need the machine to
+themselves, their pictures can be made again, their tables name what is there.
 """
 
 import importlib.util
@@ -32,15 +32,10 @@ from tests.stories.pages import (
     needs_the_machine,
     page,
     run_as_typed,
-    takes_minutes,
 )
 
-# What test_page_commands.py leaves; tests/tools/demo/test_recorded.py types the demo.
-TYPED_HERE = [
-    line
-    for line in OURS
-    if needs_the_machine(line) or (takes_minutes(line) and " demo " not in line)
-]
+# The others are typed by test_page_commands.py and tests/tools/demo/test_recorded.py.
+TYPED_HERE = [line for line in OURS if needs_the_machine(line)]
 
 
 @pytest.fixture

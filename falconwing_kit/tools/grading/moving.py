@@ -64,7 +64,7 @@ def moving_pictures(
     """Show pictures as a film.
 
     Args:
-        pictures: each (H, W, 3) or, in grey, (H, W), uint8.
+        pictures: each (H, W, 3) or, in grey, (H, W), uint8, all of one size.
         seconds: that each stays.
         words: what is seen, for those who cannot see it.
         width: at which it is shown [px]; that of the pictures if None.
@@ -79,16 +79,21 @@ def gif(pictures: Sequence[Any], seconds: float) -> bytes:
     """An endless GIF of at most LARGEST bytes: fewer colours, then fewer pictures until it fits.
 
     Args:
-        pictures: each (H, W, 3) or (H, W), uint8, at least one.
+        pictures: each (H, W, 3) or (H, W), uint8, at least one, all of one size.
         seconds: that each stays, in steps of 0.01 s.
 
     Raises:
-        InputError: there is none.
+        InputError: there is none, or their sizes differ.
     """
     from PIL import Image
 
     if not len(pictures):
         raise InputError("pictures: expected at least one, got none")
+    shapes = {np.shape(each)[:2] for each in pictures}
+    if len(shapes) > 1:
+        raise InputError(
+            f"pictures: expected all of one size, got {' and '.join(map(str, sorted(shapes)))}"
+        )
     images = [Image.fromarray(np.asarray(each, np.uint8)).convert("RGB") for each in pictures]
     while True:
         for colours in COLOURS:

@@ -1,5 +1,5 @@
 """falconwing demo from its words to its files: page, figures, models and numbers, whole or not at
-all.
+all; the failure of an engine is found in time, and README and the quick start show what it says.
 """
 
 import contextlib

@@ -236,6 +236,7 @@ def test_wrong_records_are_refused(graded, tmp_path):
         Report(str(toys.LAB), graded / "students", tmp_path / "r").run()
 
 
+@pytest.mark.alone
 def test_points_typed_in_the_browser_reach_the_gradebook(report, graded, tmp_path):
     """In headless Chromium: typed, kept over a reload, saved, merged. By hand 75 + 20.5.
 
@@ -273,6 +274,7 @@ def test_points_typed_in_the_browser_reach_the_gradebook(report, graded, tmp_pat
     assert [row["student"] for row in rows(tmp_path / "r" / "platform.csv")] == ["'=dan", "ada"]
 
 
+@pytest.mark.alone
 def test_an_item_is_clicked_for_students_and_changed_for_all_who_have_it(report, graded, tmp_path):
     """In headless Chromium. By hand: 25 - 4 = 21, later 25 - 6.5 = 18.5; typed 20 stays 20.
 
