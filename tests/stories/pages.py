@@ -77,7 +77,6 @@ ALONE = {
     "bench", "bridge", "calibrate", "class", "doctor", "find-port", "firmware", "record",
     "reproduce", "sandbox",
 }  # fmt: skip
-LONG = {"demo", "reproduce"}  # verbs that may take minutes
 
 
 def needs_the_machine(line: str) -> bool:
@@ -89,12 +88,12 @@ def needs_the_machine(line: str) -> bool:
 
 def marked(lines: Iterable[str]) -> list[Any]:
     """Commands as parameters of a test, those that need the machine to themselves with that mark;
-    long ones have more time.
+    `reproduce`, which may take minutes, has more time.
     """
     parameters = []
     for line in lines:
         marks = [pytest.mark.alone] if needs_the_machine(line) else []
-        marks += [pytest.mark.timeout(900)] if shlex.split(line)[1] in LONG else []
+        marks += [pytest.mark.timeout(900)] if shlex.split(line)[1] == "reproduce" else []
         parameters.append(pytest.param(line, marks=marks))
     return parameters
 
