@@ -302,6 +302,36 @@ def test_without_webgl2_pictures_are_shown_and_that_is_said(visit, school):
     assert school.next_text("picture")["on"] is False
 
 
+def test_a_flight_that_stands_still_is_not_drawn_again(visit, school):
+    """The server repeats the newest state: after 700 ms, when the last order has come, the wall
+    draws neither the hall nor the charts for it; it does for the next one that moves.
+    """
+    page = visit("/wall")
+    school.say(state_bytes(1.0))
+    until(page, "globalThis.drawn > 0 && document.querySelector('.chart canvas').width > 20")
+    page.evaluate(
+        """() => {
+          const { view, charts } = classroomPage;
+          const wake = view.wake.bind(view), draw = charts.draw.bind(charts);
+          Object.assign(globalThis, { wakes: 0, charted: 0, heard: 0 });
+          view.wake = () => { wakes += 1; wake(); };
+          charts.draw = () => { charted += 1; draw(); };
+          classroomPage.channel.on("state", () => { heard += 1; });
+        }"""
+    )
+    for _ in range(20):
+        school.say(state_bytes(1.0))
+    until(page, "heard === 20")
+    page.wait_for_timeout(800)
+    before = page.evaluate("drawn")
+    school.say(state_bytes(1.0))
+    until(page, "heard === 21")
+    page.wait_for_timeout(100)
+    assert page.evaluate("[wakes, charted, drawn]") == [0, 0, before]
+    school.say(state_bytes(1.05))
+    until(page, "wakes === 1 && charted === 1 && drawn > " + str(before))
+
+
 def test_seat_asks_waits_and_flies_only_while_held(visit, school):
     """24 bytes at about 50 Hz while the button is held, one more with hold = 0, no others."""
     page = visit("/", 390, 844, has_touch=True, is_mobile=True)

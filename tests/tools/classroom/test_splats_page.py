@@ -353,6 +353,75 @@ def test_a_slow_machine_gets_fewer_pixels(shown):
     assert lowest == [84, 63] and shown.page.evaluate("view.stats.share") == 0.35
 
 
+def test_two_frames_of_half_a_second_take_the_fewest_pixels_at_once(shown):
+    """By the table: 0.35 of 240 x 180. One such frame alone, as the first may be, changes nothing,
+    nor does one after each quick one.
+    """
+    shown.open_view("wall")
+    pace = "ms => { view.keepPace(ms); return view.wanted; }"
+    for took in (500, 10, 500, *(30 * [10]), 500):
+        assert shown.page.evaluate(pace, took) == [240, 180]
+    assert shown.page.evaluate(pace, 500) == [84, 63]
+
+
+def test_drawing_in_software_begins_with_the_fewest_pixels(shown):
+    """This browser draws without a GPU; a view that keeps its pictures has them whole. The names
+    are those that drivers without and with a GPU give themselves.
+    """
+    shown.open_view("wall", keep=False)
+    assert shown.page.evaluate("view.wanted") == [84, 63]
+    shown.open_view("wall")
+    assert shown.page.evaluate("view.wanted") == [240, 180]
+    ask = """name => splats.drawsInSoftware({ RENDERER: 1, getExtension: () => null,
+        getParameter: (what) => (what === 1 ? name : "") })"""
+    for name in (
+        "ANGLE (Google, Vulkan 1.3.0 (SwiftShader Device (Subzero)), SwiftShader driver)",
+        "ANGLE (Mesa, llvmpipe (LLVM 15.0.7, 256 bits), OpenGL 4.5)",
+        "ANGLE (Microsoft, Microsoft Basic Render Driver (0x0000008C) Direct3D11 vs_5_0 ps_5_0)",
+    ):
+        assert shown.page.evaluate(ask, name), name
+    for name in (
+        "ANGLE (Intel, Mesa Intel(R) UHD Graphics 620 (KBL GT2), OpenGL 4.6)",
+        "ANGLE (Apple, ANGLE Metal Renderer: Apple M1, Unspecified Version)",
+        "Adreno (TM) 640",
+    ):
+        assert not shown.page.evaluate(ask, name), name
+
+
+# Counts the frames, and asks for views from (0, y, 1) for each y, without a pause between them.
+LOOK_FROM = """([Ts]) => {
+  if (!view.painted) {
+    const paint = view.paint;
+    view.painted = [];
+    view.paint = function (T, fovDeg) { this.painted.push(T[7]); paint.call(this, T, fovDeg); };
+  }
+  for (const T of Ts) view.draw(T);
+  return view.painted;
+}"""
+
+
+def test_views_that_come_faster_than_frames_are_drawn_one_at_a_time(shown):
+    """Of fifty views that come while the first is drawn, only the last one follows; once the order
+    of that is there, the same view again draws nothing.
+    """
+    shown.open_view("wall", keep=False)
+    ys = np.linspace(0.0, 0.5, 50).tolist()
+    Ts = [nose((0.0, y, 1.0, 0.0, 0.0, 0.0)).ravel().tolist() for y in ys]
+    y_cameras = [T[7] for T in Ts]
+    assert shown.page.evaluate(LOOK_FROM, [Ts]) == y_cameras[:1]
+    is_still = """() => view.painted.length > 1 && !view.frame && !view.sorting.busy
+        && !view.order.fresh && view.order.T[7] === view.last[0][7]"""
+    shown.page.wait_for_function(is_still)
+    painted = shown.page.evaluate("view.painted")
+    assert set(painted) == {y_cameras[0], y_cameras[-1]} and len(painted) <= 4
+    assert shown.page.evaluate(LOOK_FROM, [Ts[-1:] * 10]) == painted
+    shown.page.wait_for_timeout(300)  # `drawLater` draws after 100 ms
+    assert shown.page.evaluate("view.painted") == painted
+    # An aircraft that moves is a new picture of the same view.
+    set_aircraft(shown, (at(2, 0, 1), None, 1))
+    assert shown.page.evaluate(LOOK_FROM, [Ts[-1:]]) == [*painted, y_cameras[-1]]
+
+
 @pytest.mark.parametrize(("name", "text"), [("text", "SPZ"), ("cut", "whole"), ("none", "404")])
 def test_bytes_that_are_no_scene_are_a_sentence(shown, name, text):
     """Words, a file cut by one byte, and none at all."""

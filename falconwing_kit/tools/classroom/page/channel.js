@@ -41,6 +41,11 @@ export function unpackState(buffer) {
   };
 }
 
+/** Whether two states agree in these parts: a flight that stands still is sent again and again. */
+export function sameParts(a, b, names) {
+  return names.every((name) => JSON.stringify(a[name]) === JSON.stringify(b[name]));
+}
+
 /** One picture, "<BBHI" and a JPEG, as {flight, sequence, blob}; null for anything else. */
 export function unpackPicture(buffer) {
   if (buffer.byteLength <= 8) return null;

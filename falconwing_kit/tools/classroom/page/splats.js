@@ -3,7 +3,8 @@
 // The mathematics and constants are those of scene/fast.py: each Gaussian becomes an ellipse in the
 // image. Steps of a frame: boxes of the aircraft with their depth; splats, farthest first, behind
 // whatever box is nearer; translucent boxes; a copy to the canvas. A worker sorts the splats by
-// depth whenever the view moves; until its answer comes, the last order is drawn.
+// depth whenever the view moves; until its answer comes, the last order is drawn. One frame at a
+// time: of the views that come while it is being drawn, only the newest is drawn next.
 import { AIRCRAFT_BOXES, boxTriangles, colourFromText } from "./aircraft.js";
 
 const SPLAT_NEAR = 0.01; // smallest depth that is drawn [m]
@@ -22,6 +23,11 @@ const SLOW_MS = 45; // a frame, averaged over PACE_FRAMES: the next lower share
 const QUICK_MS = 18; // the next higher one, at most MAX_RAISES times, so that it cannot alternate
 const PACE_FRAMES = 40;
 const MAX_RAISES = 3;
+const STUCK_MS = 400; // two frames in a row: the lowest share at once
+const POLL_MS = 5; // from one look whether a frame is done to the next
+const REST = 0.5; // of the time of a slow frame, after it: for the rest of the page and the machine
+const LONGEST_MS = 10000; // a frame that is not reported as done by then is taken for done
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i; // renderers without a GPU
 const MAX_SPLATS = 2097152; // 2048 rows of 1024; more is no scene for a page
 const SPZ_MAGIC = 0x5053474e; // "NGSP"
 
@@ -274,6 +280,13 @@ export async function readSpz(buffer) {
   return { count, codes: new Uint32Array(codes.buffer), places, radii };
 }
 
+// Whether the browser draws without a GPU: even with the fewest pixels a frame of the hall takes a
+// second, so it begins with those.
+export function drawsInSoftware(gl) {
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
+  return SOFTWARE.test(gl.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+}
+
 export class SplatView {
   // background: "#rrggbb" or [red, green, blue] 0..1; onstatus(text): a sentence for the reader, ""
   // when all is well again; keep: true keeps each picture readable and always in full resolution,
@@ -291,17 +304,21 @@ export class SplatView {
     this.scene = null;
     this.aircraft = [];
     this.stats = { fps: 0, sortMs: 0, frameMs: 0, share: 1 };
-    this.pace = { step: 0, frames: 0, sum: 0, raises: 0 };
+    const step = !keep && drawsInSoftware(this.gl) ? SHARES.length - 1 : 0;
+    this.pace = { step, frames: 0, sum: 0, raises: 0, before: 0 };
     this.order = { count: 0, indices: null, fresh: false };
     this.sorting = { worker: null, busy: false, view: null, waiting: [] };
     this.lastDraw = 0;
     this.last = null;
     this.next = null; // a view that waits for its order
+    this.frame = null; // {fence, begin} of the frame that is being drawn, and while it rests after it
+    this.shown = ""; // what the newest frame shows, as a text
     this.lost = false;
     this.onlost = (event) => {
       event.preventDefault();
       this.lost = true;
       this.next = null;
+      this.frame = null;
       this.onstatus("The browser took the graphics away from this page; it waits for them.");
     };
     this.onrestored = () => {
@@ -381,15 +398,21 @@ export class SplatView {
     this.aircraft = list;
   }
 
-  // Draw one frame from a camera (row-major 4 x 4, "world from camera").
+  // Draw one frame from a camera (row-major 4 x 4, "world from camera"); nothing if it is shown.
   draw(T_world_camera, { fovDeg = 70 } = {}) {
     if (this.lost) return;
     this.last = [T_world_camera, { fovDeg }];
-    if (this.next) return; // a slow machine, which waits for an order
+    if (this.next || this.frame) return; // it waits for an order or a frame, and then draws the last view
     this.fit();
     this.askForOrder(T_world_camera, fovDeg);
+    if (!this.keep && !this.order.fresh && this.shown === this.describe(T_world_camera, fovDeg)) return;
     if (this.sorting.busy && !this.keep && this.hasTurned(T_world_camera)) this.next = this.last;
     else this.paint(T_world_camera, fovDeg);
+  }
+
+  // What a frame depends on besides the scene and its order.
+  describe(T, fovDeg) {
+    return JSON.stringify([T, fovDeg, this.aircraft, this.wanted]);
   }
 
   // Whether a view has left the margin around the one that the newest order belongs to.
@@ -438,7 +461,35 @@ export class SplatView {
     gl.bindVertexArray(this.copy.vertices);
     gl.bindTexture(gl.TEXTURE_2D, this.target.colour);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    this.countFrame(begin);
+    if (this.keep) {
+      this.countFrame(begin, performance.now() - begin);
+      return;
+    }
+    this.shown = this.describe(T, fovDeg);
+    this.frame = { begin, fence: gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0) };
+    gl.flush();
+    this.watch(this.frame);
+  }
+
+  // Wait until a frame is done. Without this the browser takes further frames, and everything else
+  // on the page waits for all of them: half a minute, where a frame takes seconds.
+  watch(frame) {
+    if (frame !== this.frame) return; // the graphics are lost
+    const { gl } = this;
+    const took = performance.now() - frame.begin;
+    if (gl.getSyncParameter(frame.fence, gl.SYNC_STATUS) !== gl.SIGNALED && took < LONGEST_MS) {
+      setTimeout(() => this.watch(frame), POLL_MS);
+      return;
+    }
+    gl.deleteSync(frame.fence);
+    this.countFrame(frame.begin, took);
+    const goOn = () => {
+      if (frame !== this.frame) return;
+      this.frame = null;
+      this.draw(...this.last);
+    };
+    if (took > SLOW_MS) setTimeout(goOn, REST * took);
+    else goOn();
   }
 
   // Draw with the order that belongs to this very view: for a still picture.
@@ -463,6 +514,7 @@ export class SplatView {
     this.sorting.busy = false;
     for (const resolve of this.sorting.waiting.splice(0)) resolve();
     this.lost = true;
+    this.frame = null;
     // given back now, since browsers allow few: the canvas cannot be drawn on again
     this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
@@ -613,6 +665,7 @@ export class SplatView {
   build() {
     const { gl } = this;
     this.target = null;
+    this.shown = "";
     this.splats = this.program(SPLAT_VERTEX, SPLAT_FRAGMENT);
     this.splats.vertices = gl.createVertexArray();
     this.splats.quads = gl.createBuffer();
@@ -641,6 +694,7 @@ export class SplatView {
   // long list of triangles: thousands of instances of a quad are slow on several drivers.
   upload() {
     const { gl, splats, scene } = this;
+    this.shown = "";
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, splats.codes);
     this.sampleNearest();
@@ -689,30 +743,31 @@ export class SplatView {
     return { program, at };
   }
 
-  // Frames a second, and milliseconds of this thread a frame, averaged over some twenty frames.
-  countFrame(begin) {
+  // Frames a second, and milliseconds a frame from its begin until it is drawn, averaged over some
+  // twenty frames.
+  countFrame(begin, took) {
     const { stats } = this;
-    const end = performance.now();
     const smooth = (old, now) => (old > 0 ? old + 0.05 * (now - old) : now);
-    stats.frameMs = smooth(stats.frameMs, end - begin);
+    stats.frameMs = smooth(stats.frameMs, took);
     const gap = begin - this.lastDraw;
-    if (this.lastDraw > 0 && gap > 0 && gap < 1000) {
-      stats.fps = 1000 / smooth(stats.fps > 0 ? 1000 / stats.fps : 0, gap);
-      if (!this.keep) this.keepPace(gap);
-    }
+    const isPause = this.lastDraw === 0 || gap > Math.max(1000, 2 * took); // nothing was to be drawn
+    stats.fps = 1000 / smooth(stats.fps > 0 ? 1000 / stats.fps : 0, isPause ? took : Math.max(gap, took));
     this.lastDraw = begin;
+    if (!this.keep && document.visibilityState === "visible") this.keepPace(took);
   }
 
   // Fewer pixels on a machine that is slow, and more again on one that was slow for a moment.
-  keepPace(gap) {
+  keepPace(took) {
     const { pace } = this;
+    const isStuck = Math.min(took, pace.before) > STUCK_MS;
+    pace.before = took;
     pace.frames += 1;
-    pace.sum += gap;
-    if (pace.frames < PACE_FRAMES) return;
+    pace.sum += took;
+    if (pace.frames < PACE_FRAMES && !isStuck) return;
     const mean = pace.sum / pace.frames;
     [pace.frames, pace.sum] = [0, 0];
-    if (mean > SLOW_MS && pace.step < SHARES.length - 1) {
-      pace.step += 1;
+    if ((mean > SLOW_MS || isStuck) && pace.step < SHARES.length - 1) {
+      pace.step = isStuck ? SHARES.length - 1 : pace.step + 1;
       this.measure();
     } else if (mean < QUICK_MS && pace.step > 0 && pace.raises < MAX_RAISES) {
       pace.step -= 1;

@@ -1,6 +1,7 @@
 // States at 20 Hz and the hall's scene -> pictures at the display's rate; the camera's pictures where WebGL2 is missing.
 
 import { SplatView } from "./splats.js";
+import { sameParts } from "./channel.js";
 import { poseMatrix, chaseCamera, noseCamera, towerCamera, interpolatePoses } from "./camera.js";
 
 export const CAMERAS = ["chase", "nose", "tower", "picture"];
@@ -171,7 +172,9 @@ export class HallView {
     const pose = poseMatrix(...state.pose);
     const leader = state.leader ? poseMatrix(...state.leader) : null;
     const far = this.state === null || state.flight !== this.state.flight || posesApart(pose, this.pose) > JUMP;
-    if (!far) this.period += 0.2 * (Math.min(300, Math.max(20, now - this.arrived)) - this.period);
+    if (!far) this.period += 0.2 * (Math.min(300, Math.max(20, now - this.heard)) - this.period);
+    this.heard = now;
+    if (this.state && sameParts(state, this.state, ["flight", "pose", "leader"])) return; // nothing moves
     const shown = this.poses(now);
     this.from = far || !shown ? { pose, leader } : shown;
     this.state = state;

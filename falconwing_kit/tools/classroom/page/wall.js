@@ -1,6 +1,6 @@
 // The class's messages -> the wall: the hall, the nose picture, sticks, charts, who flies, verdict and board.
 
-import { Channel } from "./channel.js";
+import { Channel, sameParts } from "./channel.js";
 import { Theme } from "./theme.js";
 import { FlightCharts } from "./plots.js";
 import { Replay } from "./replay.js";
@@ -67,10 +67,11 @@ class Wall {
     channel.on("verdict", (verdict) => this.showVerdict(verdict));
     channel.on("error", (message) => this.showEvent({ text: message.text }));
     channel.on("state", (state) => {
+      const moved = !this.state || !sameParts(state, this.state, ["flight", "t", "holder", "command"]);
       this.state = state;
       if (state.pose.every(Number.isFinite)) this.charts.add(state);
       this.showTime(state);
-      if (!this.drawn) {
+      if (moved && !this.drawn) {
         this.drawn = true; // one drawing a frame, however many states arrive
         requestAnimationFrame(() => {
           this.drawn = false;
