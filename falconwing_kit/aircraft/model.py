@@ -42,10 +42,10 @@ from falconwing_kit.aircraft.terms import (
 from falconwing_kit.core.checks import Array, InputError, require_range
 from falconwing_kit.core.frames import (
     GRAVITY,
-    euler_rates,
-    rotation_entries,
-    rotation_rows,
+    euler_rates_of_angles,
     sine_and_cosine,
+    turn_to_body,
+    turn_to_world,
 )
 
 Form = Literal["paper", "rates"]
@@ -343,24 +343,22 @@ def state_rates(
     """
     loads_of = _sum_of([compiler(t.evaluate) for t in terms], compiler)
     wind_of = _wind_of([compiler(w.evaluate) for w in winds], compiler)
-    rotation, angle_rates, flow_of = (
-        _rotation_of_batch if compiler is _identity else compiler(_rotation_of_state),
-        compiler(euler_rates),
-        compiler(air_flow),
-    )
-    second_order = form == "rates"
+    sines_of = _sines_of_batch if compiler is _identity else compiler(_sines_of_state)
+    to_body, to_world = compiler(turn_to_body), compiler(turn_to_world)
+    angle_rates, flow_of = compiler(euler_rates_of_angles), compiler(air_flow)
+    second_order, has_wind = form == "rates", bool(winds)
     gravity = GRAVITY
 
     @compiler
     def rates_of_state(time, x, command, K):  # type: ignore[no-untyped-def]
         pitch, roll = x[3], x[5]
+        sine, cosine = sines_of(x)
         # Air-relative velocity, in world axes and then in body axes.
-        wind_x, wind_y, wind_z = wind_of(x[0], x[1], x[2], time, K)
-        row_x, row_y, row_z = rotation(x)
-        ax, ay, az = x[6] - wind_x, x[7] - wind_y, x[8] - wind_z
-        u = row_x[0] * ax + row_y[0] * ay + row_z[0] * az
-        v = row_x[1] * ax + row_y[1] * ay + row_z[1] * az
-        w = row_x[2] * ax + row_y[2] * ay + row_z[2] * az
+        ax, ay, az = x[6], x[7], x[8]
+        if has_wind:
+            wind_x, wind_y, wind_z = wind_of(x[0], x[1], x[2], time, K)
+            ax, ay, az = ax - wind_x, ay - wind_y, az - wind_z
+        u, v, w = to_body(sine, cosine, ax, ay, az)
         if second_order:
             p, q, r = x[9], x[10], x[11]
         else:
@@ -368,11 +366,10 @@ def state_rates(
         air = flow_of((u, v, w), (p, q, r), (x[0], x[1], x[2]), time, command, (roll, pitch))
         fx, fy, fz, mx, my, mz = loads_of(air, K)
         # Forces turned back to world axes, and gravity.
-        vx_dot = row_x[0] * fx + row_x[1] * fy + row_x[2] * fz
-        vy_dot = row_y[0] * fx + row_y[1] * fy + row_y[2] * fz
-        vz_dot = row_z[0] * fx + row_z[1] * fy + row_z[2] * fz - gravity
+        vx_dot, vy_dot, lift_up = to_world(sine, cosine, fx, fy, fz)
+        vz_dot = lift_up - gravity
         if second_order:
-            roll_dot, pitch_dot, yaw_dot = angle_rates(row_z, p, q, r)
+            roll_dot, pitch_dot, yaw_dot = angle_rates(sine, cosine, p, q, r)
             return (
                 x[6],
                 x[7],
@@ -387,23 +384,24 @@ def state_rates(
                 my,
                 mz,
             )
-        roll_dot, pitch_dot, yaw_dot = angle_rates(row_z, mx, my, mz)
+        roll_dot, pitch_dot, yaw_dot = angle_rates(sine, cosine, mx, my, mz)
         return x[6], x[7], x[8], pitch_dot, yaw_dot, roll_dot, vx_dot, vy_dot, vz_dot
 
     return rates_of_state
 
 
-def _rotation_of_state(x):  # type: ignore[no-untyped-def]
-    """The rows of R_world_body."""
-    return rotation_entries(x[5], x[3], x[4])
+def _sines_of_state(x):  # type: ignore[no-untyped-def]
+    """Sines and cosines of roll, pitch and yaw."""
+    roll, pitch, yaw = sine_and_cosine(x[5]), sine_and_cosine(x[3]), sine_and_cosine(x[4])
+    return (roll[0], pitch[0], yaw[0]), (roll[1], pitch[1], yaw[1])
 
 
-def _rotation_of_batch(x: Any) -> Any:
+def _sines_of_batch(x: Any) -> Any:
     """The same; the three angles of a batch together, as NumPy's calls cost more than its sums."""
     if not isinstance(x, np.ndarray):
-        return _rotation_of_state(x)
-    sine, cosine = sine_and_cosine(x[3:6])
-    return rotation_rows(sine[2], cosine[2], sine[0], cosine[0], sine[1], cosine[1])
+        return _sines_of_state(x)
+    (sin_pitch, sin_yaw, sin_roll), (cos_pitch, cos_yaw, cos_roll) = sine_and_cosine(x[3:6])
+    return (sin_roll, sin_pitch, sin_yaw), (cos_roll, cos_pitch, cos_yaw)
 
 
 def _sum_of(functions: list[Any], compiler: Any) -> Any:

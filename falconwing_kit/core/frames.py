@@ -66,8 +66,8 @@ def sine_and_cosine(angle: Any) -> Any:
     the results agree to 1e-15.
     """
     half = np.tan(0.5 * angle)
-    cos2_half = 1.0 / (1.0 + half * half)
-    return 2.0 * half * cos2_half, 2.0 * cos2_half - 1.0
+    twice_cos2_half = 2.0 / (1.0 + half * half)
+    return half * twice_cos2_half, twice_cos2_half - 1.0
 
 
 def rotation_rows(
@@ -88,6 +88,35 @@ def rotation_rows(
         ),
         (sin_pitch, -sin_roll * cos_pitch, -cos_roll * cos_pitch),
     )
+
+
+def turn_to_body(sine: Any, cosine: Any, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
+    """A vector in world axes -> in body axes: R_world_body' as three turns, one after the other.
+
+    A turn by one angle takes four products, so this takes fewer than the matrix and its product.
+
+    Args:
+        sine: of roll, pitch and yaw, three entries (...).
+        cosine: likewise.
+        x: (...) along the runway.
+        y: (...) left.
+        z: (...) up.
+
+    Returns:
+        Along the nose, the right wing and the belly, each (...).
+    """
+    (sin_roll, sin_pitch, sin_yaw), (cos_roll, cos_pitch, cos_yaw) = sine, cosine
+    ahead, left = cos_yaw * x - sin_yaw * y, sin_yaw * x + cos_yaw * y
+    nose, below = cos_pitch * ahead + sin_pitch * z, sin_pitch * ahead - cos_pitch * z
+    return nose, sin_roll * below - cos_roll * left, cos_roll * below + sin_roll * left
+
+
+def turn_to_world(sine: Any, cosine: Any, nose: Any, wing: Any, belly: Any) -> tuple[Any, Any, Any]:
+    """A vector in body axes -> in world axes; inverse of `turn_to_body`."""
+    (sin_roll, sin_pitch, sin_yaw), (cos_roll, cos_pitch, cos_yaw) = sine, cosine
+    left, below = sin_roll * belly - cos_roll * wing, cos_roll * belly + sin_roll * wing
+    ahead, up = cos_pitch * nose + sin_pitch * below, sin_pitch * nose - cos_pitch * below
+    return cos_yaw * ahead + sin_yaw * left, cos_yaw * left - sin_yaw * ahead, up
 
 
 def euler_from_rotation(R_world_body: ArrayLike) -> tuple[Array, Array, Array]:
@@ -129,6 +158,17 @@ def euler_rates(row_z: Any, p: Any, q: Any, r: Any) -> Any:
     cos_pitch_squared = right * right + down * down
     yaw_rate = (q * right + r * down) / cos_pitch_squared
     pitch_rate = (q * down - r * right) / np.sqrt(cos_pitch_squared)
+    return p + sin_pitch * yaw_rate, pitch_rate, yaw_rate
+
+
+def euler_rates_of_angles(sine: Any, cosine: Any, p: Any, q: Any, r: Any) -> Any:
+    """The same as `euler_rates` from the sines and cosines of roll, pitch and yaw.
+
+    Beyond 90 deg of pitch `euler_rates` divides by |cos pitch|, hence the sign.
+    """
+    (sin_roll, sin_pitch, _), (cos_roll, cos_pitch, _) = sine, cosine
+    yaw_rate = (q * sin_roll + r * cos_roll) / cos_pitch
+    pitch_rate = (q * cos_roll - r * sin_roll) * np.sign(cos_pitch)
     return p + sin_pitch * yaw_rate, pitch_rate, yaw_rate
 
 

@@ -171,7 +171,7 @@ def predict(
     initial_states: Array,
     values: Array,
     actuator_positions: Array,
-    variant_index: np.ndarray | None = None,
+    variant_index: np.ndarray,
 ) -> Array:
     """Integrate every window once for each of C columns of initial states and parameter values.
 
@@ -181,7 +181,7 @@ def predict(
         initial_states: (n_states, C, W).
         values: (P, C) parameter values; delay and lag act through actuator_positions.
         actuator_positions: (S, 2, 4, A, W) mean and slope in each integration step, A variants.
-        variant_index: (C,) the variant of each column; None where there is one variant.
+        variant_index: (C,) the variant of each column.
 
     Returns:
         (L, 6, C, W) predicted poses at the windows' rows, order of CHANNELS.
@@ -202,16 +202,12 @@ def predict(
     for a in range(0, n_windows, width):
         part = slice(a, a + width)
         x = np.ascontiguousarray(initial_states[:, :, part])  # (n_states, C, chunk)
-        # NumPy multiplies arrays of one shape in less time than it broadcasts (C, 1)
-        full = K._make(np.broadcast_to(v, x.shape[1:]).copy() if np.ndim(v) else v for v in K)
+        # NumPy multiplies arrays of one shape in less time than it broadcasts (C, 1) or a number.
+        full = K._make(np.broadcast_to(v, x.shape[1:]).copy() for v in K)
         poses[0, :, :, part] = x[POSE_ROWS]
         for k in range(len(steps)):
-            # (2, 4, A, chunk), or (2, 4, C, chunk) with the variant of each column picked.
-            mean, slope = (
-                actuator_positions[k, ..., part]
-                if variant_index is None
-                else actuator_positions[k, ..., part][:, :, variant_index]
-            )
+            # The variant of each column: (2, 4, A, chunk) -> (2, 4, C, chunk).
+            mean, slope = actuator_positions[k, ..., part].take(variant_index, axis=2)
             x = step_batch(rates, full, begin[k, part], x, mean, steps[k, part], slope)
             if (k + 1) % windows.substeps == 0:
                 poses[(k + 1) // windows.substeps, :, :, part] = x[POSE_ROWS]
@@ -375,7 +371,7 @@ def _predict_columns(model: Model, windows: Windows, state_columns: Array, value
             state_columns,
             values,
             np.stack(variants, axis=3),  # (S, 2, 4, A, W)
-            variant_index if len(variants) > 1 else None,
+            variant_index,
         )
 
 

@@ -11,9 +11,13 @@ from falconwing_kit.core.frames import (
     euler_from_ned,
     euler_from_rotation,
     euler_rates,
+    euler_rates_of_angles,
     pose_matrix,
     rotation_entries,
     rotation_world_body,
+    sine_and_cosine,
+    turn_to_body,
+    turn_to_world,
     up_in_body,
     world_from_enu,
     wrap_angle,
@@ -65,6 +69,16 @@ def test_rotation_is_the_product_of_elementary_ones(angles):
         )
         assert np.abs(rotation_world_body(roll, pitch, yaw) - product).max() < ROUNDING
         assert np.abs(np.array(rotation_entries(roll, pitch, yaw)) - product).max() < ROUNDING
+
+
+def test_turns_are_products_with_the_matrix(angles, rng):
+    """R_world_body' v to the body and R_world_body v to the world, for vectors of 10 m/s."""
+    R_world_body, v = rotation_world_body(*angles), rng.uniform(-10.0, 10.0, (200, 3))
+    sine, cosine = sine_and_cosine(np.array(angles))
+    v_body = np.einsum("nij,ni->nj", R_world_body, v)
+    v_world = np.einsum("nij,nj->ni", R_world_body, v)
+    assert np.abs(np.array(turn_to_body(sine, cosine, *v.T)).T - v_body).max() < 20.0 * ROUNDING
+    assert np.abs(np.array(turn_to_world(sine, cosine, *v.T)).T - v_world).max() < 20.0 * ROUNDING
 
 
 def test_angles_come_back(angles):
@@ -122,6 +136,17 @@ def test_euler_rates_match_the_derivative_of_the_rotation(angles, rng):
     zero = np.zeros(200)
     cross = np.moveaxis(np.array([[zero, -r, q], [r, zero, -p], [-q, p, zero]]), -1, 0)
     assert np.abs(derivative - rotation_world_body(*angles) @ cross).max() < 1e-8
+
+
+@pytest.mark.parametrize("pitch", [-3.0, -1.2, 0.0, 1.4, 1.7])
+def test_euler_rates_of_angles_are_those_of_the_last_row(pitch, rng):
+    """The same equation in two forms, also beyond 90 deg of pitch, to rounding over cos pitch."""
+    roll, p, q, r = rng.uniform(-3.0, 3.0, (4, 200))
+    by_row = euler_rates(rotation_entries(roll, pitch, 0.0)[2], p, q, r)
+    by_angles = euler_rates_of_angles(
+        *sine_and_cosine(np.array([roll, 0.0 * roll + pitch, roll])), p, q, r
+    )
+    assert np.abs(np.array(by_angles) - np.array(by_row)).max() < 1e-12
 
 
 def test_body_rates_invert_euler_rates(angles, rng):
