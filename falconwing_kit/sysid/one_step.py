@@ -19,6 +19,7 @@ from falconwing_kit.aircraft.model import Model, parameter_record, state_rates
 from falconwing_kit.core.checks import Array, InputError
 from falconwing_kit.core.frames import body_rates
 from falconwing_kit.sysid.prepare import PreparedFlight
+from falconwing_kit.sysid.shooting import CHUNK
 
 DIVERGED_RESIDUAL = 1e3  # residual of a diverged step; its square is finite [m, m/s, rad, rad/s]
 
@@ -78,22 +79,34 @@ def fit_one_step(
     )
     start = np.clip(fixed_model.vector[free], low, high)
 
-    def one_step_residuals(values: Array) -> Array:
-        vector = fixed_model.vector
-        vector[free] = values
-        with np.errstate(all="ignore"):
-            predicted = _advance(fixed_model, vector, before, actuator_positions, duration)
-        return np.clip(
-            np.nan_to_num(predicted - after, nan=DIVERGED_RESIDUAL),
-            -DIVERGED_RESIDUAL,
-            DIVERGED_RESIDUAL,
-        ).ravel()
+    def residual_sets(sets: Array) -> Array:
+        """(C, R) of C sets of values (C, F), some of them integrated together."""
+        vectors = np.repeat(fixed_model.vector[None], len(sets), axis=0)
+        vectors[:, free] = sets
+        together = max(1, CHUNK // before.shape[1])
+        parts = [
+            _advance(fixed_model, vectors[c : c + together], before, actuator_positions, duration)
+            for c in range(0, len(sets), together)
+        ]
+        off = np.concatenate(parts, axis=1).swapaxes(0, 1) - after  # (C, n_states, N)
+        off = np.nan_to_num(off, nan=DIVERGED_RESIDUAL)
+        return np.clip(off, -DIVERGED_RESIDUAL, DIVERGED_RESIDUAL).reshape(len(sets), -1)
+
+    def derivative(values: Array) -> Array:
+        """(R, F) by differences with SciPy's steps, which lead away from a bound."""
+        size = np.sqrt(np.finfo(np.float64).eps) * np.maximum(np.abs(values), 1.0)
+        step = np.where(values < 0.0, -size, size)
+        step[(values + step < low) | (values + step > high)] *= -1.0
+        sets = values + np.diag(step)
+        change = residual_sets(np.concatenate([values[None], sets]))
+        return np.asarray((change[1:] - change[0]).T / (np.diag(sets) - values))
 
     scale = np.array([max(abs(fixed_model.parameters[i].start), 0.1) for i in free])
     loss = "soft_l1" if smoothed else "linear"
     found = least_squares(
-        one_step_residuals, start, bounds=(low, high), x_scale=scale, loss=loss, max_nfev=30
-    )
+        lambda values: residual_sets(values[None])[0], start, derivative, bounds=(low, high),
+        x_scale=scale, loss=loss, max_nfev=30,
+    )  # fmt: skip
     vector = fixed_model.vector
     vector[free] = found.x
     return replace(model, values=dict(zip(model.names, map(float, vector), strict=True)))
@@ -112,12 +125,14 @@ def _steps(
     return states[pairs].T, states[pairs + 1].T, actuator_positions[pairs].T, np.diff(t)[pairs]
 
 
+@np.errstate(all="ignore")
 def _advance(
-    model: Model, vector: Array, x: Array, actuator_positions: Array, duration: Array
+    model: Model, vectors: Array, before: Array, actuator_positions: Array, duration: Array
 ) -> Array:
-    """States one step later, for a parameter vector (P,)."""
-    K = parameter_record(model.names)(*map(float, vector))
+    """States (n_states, C, N) one step later, for C parameter vectors (C, P)."""
+    K = parameter_record(model.names)(*vectors.T[..., None])  # each (C, 1)
     substeps, rates = SUBSTEPS[model.form], state_rates(model.form, model.terms, model.winds)
+    x = np.repeat(before[:, None], len(vectors), axis=1)
     for _ in range(substeps):
         x = step_batch(rates, K, 0.0, x, actuator_positions, duration / substeps)
     return x
