@@ -23,6 +23,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -587,8 +588,9 @@ class _Copy:
     def _add(self, topic: str, name: str) -> int:
         """The number of a channel for Foxglove, registered with its schema when first needed."""
         if name not in self._added:
-            schema = json.dumps(foxglove.SCHEMAS[name]).encode()
-            self._added[name] = self._writer.register_schema(name, "jsonschema", schema)
+            self._added[name] = self._writer.register_schema(
+                name, "jsonschema", foxglove.SCHEMAS[name]
+            )
         if topic not in self._added:
             self._added[topic] = self._writer.register_channel(topic, JSON, self._added[name])
         return self._added[topic]
@@ -615,20 +617,34 @@ def _read_frames(
 
 def _parse_frame(opcode: int, body: bytes) -> list[Any] | None:
     """The records in a frame: several for a chunk, none for an index, None if damaged."""
+    new_stream, McapError, readers = _mcap_readers()
+    if opcode not in readers:
+        return []
+    try:
+        record = readers[opcode](new_stream(BytesIO(body)), len(body))
+        return _parse_chunk(record) if opcode == _CHUNK else [record]
+    except (McapError, struct.error, UnicodeDecodeError, OverflowError):
+        return None
+
+
+@cache
+def _mcap_readers() -> tuple[Any, Any, dict[int, Callable[[Any, int], Any]]]:
+    """MCAP's stream of bytes, its error, and opcode -> reader of a record from stream and length.
+
+    Kept, because these imports for each record would take as long as the reading.
+    """
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
     from mcap.records import Channel, Chunk, Message, Metadata, Schema
 
-    stream = ReadDataStream(BytesIO(body))
-    readers = {_SCHEMA: Schema.read, _CHANNEL: Channel.read, _METADATA: Metadata.read}
-    try:
-        if opcode == _MESSAGE:
-            return [Message.read(stream, len(body))]
-        if opcode == _CHUNK:
-            return _parse_chunk(Chunk.read(stream))
-        return [readers[opcode](stream)] if opcode in readers else []
-    except (McapError, struct.error, UnicodeDecodeError, OverflowError):
-        return None
+    readers: dict[int, Callable[[Any, int], Any]] = {
+        _SCHEMA: lambda stream, length: Schema.read(stream),
+        _CHANNEL: lambda stream, length: Channel.read(stream),
+        _MESSAGE: Message.read,
+        _CHUNK: lambda stream, length: Chunk.read(stream),
+        _METADATA: lambda stream, length: Metadata.read(stream),
+    }
+    return ReadDataStream, McapError, readers
 
 
 def _parse_chunk(chunk: Any) -> list[Any] | None:

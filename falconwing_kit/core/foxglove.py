@@ -33,7 +33,7 @@ def _of(**fields: Any) -> dict[str, Any]:
 _NUMBER, _TEXT, _COUNT = {"type": "number"}, {"type": "string"}, {"type": "integer", "minimum": 0}
 _TIME = {**_of(sec=_COUNT, nsec=_COUNT), "title": "time"}
 _VECTOR = _of(x=_NUMBER, y=_NUMBER, z=_NUMBER)
-SCHEMAS: dict[str, dict[str, Any]] = {  # name -> JSON schema
+_SCHEMA_RECORDS: dict[str, dict[str, Any]] = {
     IMAGE_SCHEMA: _of(
         timestamp=_TIME, frame_id=_TEXT, data={**_TEXT, "contentEncoding": "base64"}, format=_TEXT
     ),
@@ -50,6 +50,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {  # name -> JSON schema
         yaw_deg=_NUMBER,
     ),
 }  # fmt: skip
+SCHEMAS = {name: json.dumps(schema).encode() for name, schema in _SCHEMA_RECORDS.items()}  # JSON
 TOPICS = {  # derived topic -> its schema
     AIRCRAFT_TOPIC: FRAME_SCHEMA, CAMERA_TOPIC: FRAME_SCHEMA, LEADER_TOPIC: FRAME_SCHEMA,
     MOTION_TOPIC: "motion", TEXT_TOPIC: TEXT_SCHEMA,

@@ -175,6 +175,7 @@ def fuzz(read: Callable[[], object], path, seed: bytes, first: int) -> Counter[s
     try:
         for number in range(first, first + FILES):
             data = mutate(seed, np.random.default_rng(number))
+            path.unlink(missing_ok=True)  # cutting an old file to zero waits for the disk
             path.write_bytes(data)
             before = tracemalloc.get_traced_memory()[0]
             tracemalloc.reset_peak()
@@ -229,13 +230,14 @@ def test_flight_logs(tmp_path, monkeypatch, packed):
     """
     monkeypatch.setattr(os, "fsync", lambda file: None)
     seed = mcap_seeds(tmp_path)[packed]
-    path = tmp_path / "c.mcap"
+    path, recovered = tmp_path / "c.mcap", tmp_path / "d.mcap"
 
     def read():
         log = read_flight_log(path)
         for _ in log.images():
             pass
-        recover(path, tmp_path / "d.mcap")
+        recovered.unlink(missing_ok=True)  # replacing an old file waits for the disk
+        recover(path, recovered)
         return to_flight_table(log)
 
     path.write_bytes(seed)
