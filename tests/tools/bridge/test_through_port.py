@@ -172,7 +172,7 @@ def test_an_unknown_board_is_refused():
         simulated_board("/dev/ttyACM0")
 
 
-@pytest.mark.timeout(900)  # 100 s of CPU, more on a busy machine
+@pytest.mark.timeout(900)  # a minute of CPU, more on a busy machine
 def test_a_hundred_landings_through_the_firmware_are_as_good_as_without():
     """The issue's figures: every one on the pad, within 10 cm on average, and no worse than flown
     without the port.
