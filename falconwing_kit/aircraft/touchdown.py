@@ -4,6 +4,7 @@ Geometry only. There is no ground reaction: the path after the first contact is 
 tips and propeller are not considered.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -138,6 +139,26 @@ def find_touchdown(
             fraction, wheel = contact
             return _touchdown(times[i] + fraction * step[2], wheel, *_cubic(fraction, *step), pad)
     return None
+
+
+def is_out_of_reach(dt: float, states: Array, airframe: Airframe, pad: LandingPad) -> bool:
+    """Whether an aircraft is so high that `find_touchdown` would find no contact; quick to see.
+
+    A wheel is at most its distance from the centre of gravity below that, and its path, a cubic,
+    falls in a step by at most dt times the largest sink rate at an end of the step.
+
+    Args:
+        dt: between both samples [s].
+        states: (2, 12) in the order of STATE_NAMES, SI; those with a number that is not finite are
+            left to `find_touchdown`.
+        airframe: with the wheels.
+        pad: the pad.
+    """
+    wheels = airframe.wheels
+    arm = max(math.hypot(*wheel) for wheel in (wheels.main_left, wheels.main_right, wheels.tail))
+    lowest = float(states[:, 2].min()) - arm
+    sink_rate = max(abs(x[8]) + arm * math.hypot(*x[9:12]) for x in states.tolist())
+    return bool(np.isfinite(states).all()) and lowest - dt * sink_rate > pad.height
 
 
 def _paths(t: ArrayLike, states: ArrayLike, airframe: Airframe) -> tuple[Array, Array, Array]:

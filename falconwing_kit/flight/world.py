@@ -15,7 +15,13 @@ import numpy as np
 
 from falconwing_kit.aircraft.airframe import Airframe
 from falconwing_kit.aircraft.model import Model
-from falconwing_kit.aircraft.touchdown import LandingPad, Touchdown, find_touchdown, pad_height
+from falconwing_kit.aircraft.touchdown import (
+    LandingPad,
+    Touchdown,
+    find_touchdown,
+    is_out_of_reach,
+    pad_height,
+)
 from falconwing_kit.control.estimate import SimulatedAircraft
 from falconwing_kit.control.expert import LeaderTrajectory
 from falconwing_kit.control.guidance import Hall
@@ -281,7 +287,8 @@ def find_contact(
     """
     (x_before, x), now = states, t[1]
     p_world, attitude = x[:3], (x[5], x[3], x[4])  # roll, pitch, yaw
-    touchdown = find_touchdown(t, states, airframe, pad)
+    is_high = states.shape[1] == 12 and is_out_of_reach(t[1] - t[0], states, airframe, pad)
+    touchdown = None if is_high else find_touchdown(t, states, airframe, pad)
     if touchdown is not None:
         now, p_world = touchdown.t, touchdown.p_world
         attitude = (touchdown.bank, touchdown.pitch, touchdown.yaw)
@@ -290,13 +297,16 @@ def find_contact(
         if distance < CLEARANCE:
             return Contact(now, "leader", p_world)
     corners = p_world + airframe.corners_body @ rotation_world_body(*attitude).T
-    corners_before = corner_positions(x_before, airframe)
     ground = pad_height(corners, pad)
     below = corners[:, 2] < ground
+    in_pad = below & (ground > 0.0)
+    # A corner that was already lower than the pad's top came through its side.
+    through_top = bool(np.any(in_pad)) and bool(
+        np.any(in_pad & (corner_positions(x_before, airframe)[:, 2] > ground))
+    )
     touched: dict[Obstacle, bool] = {
-        # A corner that was already lower than the pad's top came through its side.
-        "pad": bool(np.any(below & (ground > 0.0) & (corners_before[:, 2] > ground))),
-        "pad edge": bool(np.any(below & (ground > 0.0))),
+        "pad": through_top,
+        "pad edge": bool(np.any(in_pad)),
         "floor": bool(np.any(below)),
         "ceiling": corners[:, 2].max() > hall.beams,
         "wall": hall.margin(corners * (1.0, 1.0, 0.0)).min() < 0.0,

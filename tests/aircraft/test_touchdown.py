@@ -11,6 +11,7 @@ from falconwing_kit.aircraft.airframe import Wheels, load_airframe
 from falconwing_kit.aircraft.touchdown import (
     LandingPad,
     find_touchdown,
+    is_out_of_reach,
     pad_height,
     wheel_heights,
     wheel_velocities,
@@ -250,6 +251,35 @@ def test_oscillating_approach_agrees_with_an_independent_root_finder():
     assert touch.wheel == ("main_left", "main_right", "tail")[wheel]
     assert touch.t == pytest.approx(exact, abs=3e-5)
     assert touch.sink_rate == pytest.approx(sink, abs=1e-3)
+
+
+def test_out_of_reach_is_a_step_above_the_longest_arm():
+    """By hand: the tail wheel is 0.302655 m from the centre of gravity and the pad's top at 0.1 m;
+    a step of 50 ms at 2 m/s takes 0.1 m, and a turn at 4 rad/s 0.060531 m at the tail wheel.
+    """
+    for channels, height in (({}, 0.402655), ({"vz": -2.0}, 0.502655), ({"r": 4.0}, 0.463186)):
+        for above, expected in ((1e-6, True), (-1e-6, False)):
+            step = flight(T[:2], 12, pz=[height + above, 9.0], **channels)
+            assert is_out_of_reach(0.05, step, AIRFRAME, PAD) == expected
+            assert is_out_of_reach(0.05, step[::-1], AIRFRAME, PAD) == expected
+
+
+def test_nothing_out_of_reach_touches_the_ground(rng):
+    """Steps of any speeds and turns over the pad, among them many that touch it: `find_touchdown`
+    finds none in those that are out of reach, and refuses what is not finite.
+    """
+    outcomes = set()
+    for _ in range(400):
+        low, high = np.array([3.0, -2.2, 0.1, *[-0.5] * 3]), np.array([4.0, -1.8, 1.5, *[0.5] * 3])
+        rates = rng.normal(0.0, 1.0, (2, 6)) * (8.0, 8.0, 5.0, 6.0, 6.0, 6.0)
+        step = np.concatenate([rng.uniform(low, high, (2, 6)), rates], axis=1)
+        touches = find_touchdown(T[:2], step, AIRFRAME, PAD) is not None
+        outcomes.add((is_out_of_reach(0.05, step, AIRFRAME, PAD), touches))
+    assert outcomes == {(True, False), (False, False), (False, True)}
+    for column, bad in ((0, np.nan), (2, np.inf), (7, np.nan), (11, np.inf)):
+        step = flight(T[:2], 12, pz=9.0)
+        step[1, column] = bad
+        assert not is_out_of_reach(0.05, step, AIRFRAME, PAD)
 
 
 def test_heights_of_a_batch():
