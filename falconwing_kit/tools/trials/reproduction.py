@@ -511,7 +511,11 @@ def identification(job: Job) -> Part:
 
 
 def _fly(job: Job, name: str, cells: Sequence[Cell], trials: int) -> dict[Cell, list[Record]]:
-    """The records of cells, those of the folder first."""
+    """The records of cells, those of the folder first.
+
+    All cells of a part are flown at once, so that each process loads the hall and the networks
+    once.
+    """
 
     def report(done: int, of: int, record: Record | None) -> None:
         job.progress(f"{name}: trial {done} of {of}")
@@ -576,30 +580,37 @@ def _flight_rows(
 def table_one(job: Job) -> Part:
     """Leader-following by every pilot of the paper's Table I that ships."""
     rows: list[Row] = []
-    paths: dict[Cell, list[Record]] = {}
     trials = job.amount.follows
-    for scenario, worlds in (("training", ("training",)), ("unseen", UNSEEN)):
-        for pilot in ("expert", "rgb", "mask", "rgb_mask"):
-            figure = PAPER["follow", scenario, pilot]
-            if pilot not in PILOTS or "follow" not in PILOTS[pilot].tasks:
-                numbers = (
-                    f"{_per_cent(figure.successes)}, {figure.error_cm:.0f} cm,"
-                    f" {(figure.runtime_ms or 0.0) / 1000.0:.2f} s"
-                )
-                rows.append(
-                    _missing(f"{scenario}, {pilot}: success, ATE, ART", numbers, "Table I",
-                             "this pilot does not ship yet")
-                )  # fmt: skip
-                continue
-            cells = [Cell(pilot, "follow", WORLDS[name], SIZE, 0, SCENE) for name in worlds]
-            grouped = _fly(job, "table_one", cells, trials)
-            paths |= grouped
-            names = ",".join(worlds)
-            command = (
-                f"falconwing eval --task follow --pilots {pilot} --worlds {names} --trials {trials}"
+    table = [
+        (scenario, pilot, [Cell(pilot, "follow", WORLDS[name], SIZE, 0, SCENE) for name in worlds])
+        for scenario, worlds in (("training", ("training",)), ("unseen", UNSEEN))
+        for pilot in ("expert", "rgb", "mask", "rgb_mask")
+    ]
+    ships = {name for name, entry in PILOTS.items() if "follow" in entry.tasks}
+    paths = _fly(
+        job,
+        "table_one",
+        [cell for _, pilot, cells in table if pilot in ships for cell in cells],
+        trials,
+    )
+    for scenario, pilot, cells in table:
+        figure = PAPER["follow", scenario, pilot]
+        if pilot not in ships:
+            numbers = (
+                f"{_per_cent(figure.successes)}, {figure.error_cm:.0f} cm,"
+                f" {(figure.runtime_ms or 0.0) / 1000.0:.2f} s"
             )
-            found = summarise_cell([r for records in grouped.values() for r in records])
-            rows += _flight_rows("follow", scenario, pilot, "Table I", found, command)
+            rows.append(
+                _missing(f"{scenario}, {pilot}: success, ATE, ART", numbers, "Table I",
+                         "this pilot does not ship yet")
+            )  # fmt: skip
+            continue
+        names = ",".join(cell.world.name for cell in cells)
+        command = (
+            f"falconwing eval --task follow --pilots {pilot} --worlds {names} --trials {trials}"
+        )
+        found = summarise_cell([record for cell in cells for record in paths[cell]])
+        rows += _flight_rows("follow", scenario, pilot, "Table I", found, command)
     path = job.out / "table_one.png"
     draw_paths(paths, path, pad=False)
     caption = (
@@ -623,19 +634,22 @@ def robustness(job: Job) -> Part:
                      "this pilot does not ship yet")
             for group, words in ROBUSTNESS.items()
         ]  # fmt: skip
+    cells: dict[str, list[Cell]] = {}
     for group in ROBUSTNESS:
         worlds = select_worlds(group, "follow")
         if not job.amount.all_levels:
             worlds = (worlds[0], worlds[-1])
-        cells = [Cell(pilot, "follow", world, SIZE, 0, SCENE)
-                 for pilot in pilots for world in worlds]  # fmt: skip
-        grouped = _fly(job, "robustness", cells, job.amount.sweeps)
+        cells[group] = [Cell(pilot, "follow", world, SIZE, 0, SCENE)
+                        for pilot in pilots for world in worlds]  # fmt: skip
+    every = [cell for several in cells.values() for cell in several]
+    flown = _fly(job, "robustness", every, job.amount.sweeps)
+    for group in ROBUSTNESS:
         command = (
             f"falconwing eval --task follow --pilots {','.join(pilots)} --worlds '{group}'"
             f" --trials {job.amount.sweeps}"
         )
-        for cell, records in grouped.items():
-            found = summaries[cell] = summarise_cell(records)
+        for cell in cells[group]:
+            found = summaries[cell] = summarise_cell(flown[cell])
             rate = found["success"]
             level = _level_text(cell.world)
             verdict: Verdict = "not comparable"
@@ -669,22 +683,27 @@ def table_two(job: Job) -> Part:
     """Landings of Table II by every pilot that ships, and from other starts."""
     trials = job.amount.landings
     rows: list[Row] = []
-    paths: dict[Cell, list[Record]] = {}
+    by_images = [name for name in BY_IMAGES if name in PILOTS and _lands(name)]
+    flights = [(pilot, "paper") for pilot in ("expert", *by_images)]
+    if "rgb" in by_images:
+        flights += [("rgb", "reality")] if has_jsbsim() else []
+        flights += [("rgb", "curved")]
+    cells = {
+        (pilot, world): Cell(pilot, "landing", WORLDS[world], SIZE, 0, SCENE)
+        for pilot, world in flights
+    }
+    paths = _fly(job, "table_two", list(cells.values()), trials)
 
-    def fly(pilot: str, world: str) -> tuple[Record, str]:
-        cell = Cell(pilot, "landing", WORLDS[world], SIZE, 0, SCENE)
-        grouped = _fly(job, "table_two", [cell], trials)
-        paths.update(grouped)
+    def summary(pilot: str, world: str) -> tuple[Record, str]:
         command = (
             f"falconwing eval --task landing --pilots {pilot} --worlds {world} --trials {trials}"
         )
-        return summarise_cell(grouped[cell]), command
+        return summarise_cell(paths[cells[pilot, world]]), command
 
-    found, command = fly("expert", "paper")
+    found, command = summary("expert", "paper")
     rows += _flight_rows("landing", "paper", "expert", "Table II", found, command)
-    by_images = [name for name in BY_IMAGES if name in PILOTS and _lands(name)]
     for name in by_images:
-        found, command = fly(name, "paper")
+        found, command = summary(name, "paper")
         stand_in = "" if name == "rgb" else name
         rows += _flight_rows("landing", "paper", "rgb", "Table II", found, command, stand_in)
     real = PAPER["landing", "reality", "rgb"]
@@ -694,8 +713,8 @@ def table_two(job: Job) -> Part:
                  "no real aircraft has flown with the kit. The paper's 41 cm count two failed"
                  " flights as 0 cm; the mean of its eight landings is 51 cm")
     )  # fmt: skip
-    if has_jsbsim() and "rgb" in by_images:
-        found, command = fly("rgb", "reality")
+    if ("rgb", "reality") in cells:
+        found, command = summary("rgb", "reality")
         rate, error = found["success"], found["ald_m"]
         rows.append(
             Row("a stand-in for reality, rgb: success, ALD", numbers, "Table II",
@@ -706,11 +725,11 @@ def table_two(job: Job) -> Part:
                 "no reality: an aircraft that JSBSim flies, with wind, delay, analog link and a"
                 " turned camera", command, "simulated")
         )  # fmt: skip
-    for name in [name for name in ("rgb",) if name in by_images]:
-        found, command = fly(name, "curved")
+    if ("rgb", "curved") in cells:
+        found, command = summary("rgb", "curved")
         rate = found["success"]
         rows.append(
-            Row(f"curved approaches, {name}: success", "shown, without a number",
+            Row("curved approaches, rgb: success", "shown, without a number",
                 "Section VI, Figure 9", _per_cent(rate["rate"]),
                 f"{_per_cent(rate['low95'])} to {_per_cent(rate['high95'])}", str(found["trials"]),
                 "not comparable", "the paper's figure has no number", command, "simulated")
