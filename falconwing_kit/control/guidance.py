@@ -32,7 +32,8 @@ class Hall:
 
     def margin(self, p_world: Array) -> Array:
         """Distance (...) from points (..., 3) to the nearest wall or beam [m]; negative outside."""
-        x, y, z = np.moveaxis(np.asarray(p_world, np.float64), -1, 0)
+        p = np.asarray(p_world, np.float64)
+        x, y, z = p[..., 0], p[..., 1], p[..., 2]
         sides = (x - self.x[0], self.x[1] - x, y - self.y[0], self.y[1] - y)
         return np.minimum.reduce([*sides, self.beams - z])
 

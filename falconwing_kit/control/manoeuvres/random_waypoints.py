@@ -26,13 +26,16 @@ def random_waypoints(rng: np.random.Generator) -> Array:
         start = rng.uniform((-21.5, -11.0, 1.2), (16.5, 7.0, 3.8))
         yaw = rng.uniform(-math.pi, math.pi)
         behind = start - 6.0 * course_axes(yaw)[0]  # a follower may begin here
+        if Hall().margin(behind) <= MARGIN:  # whatever the knots: skip their draws
+            rng.uniform(-1.0, 1.0, (10 * KNOTS, 2))
+            continue
         knots = [np.zeros(2)]  # curvature [1/m] and climb [rad]
         for _ in range(10 * KNOTS):
             knot = rng.uniform(-1.0, 1.0, 2) * (0.105, 0.12)
             # Two more level knots of the same turn: the path must be able to continue.
             candidate = [*knots, knot, knot * (1.0, 0.0), knot * (1.0, 0.0)]
             curvature, climb = np.array(candidate).T
-            s = np.linspace(0.0, KNOT_SPACING * (len(candidate) - 1), len(candidate))
+            s = KNOT_SPACING * np.arange(len(candidate), dtype=np.float64)
             points = np.vstack([behind, start + curve_points(yaw, s, curvature, climb)])
             if np.all(Hall().margin(points) > MARGIN) and np.all(points[:, 2] > MIN_HEIGHT):
                 knots = candidate[:-2]
