@@ -33,11 +33,9 @@ ALONE = {
     "tools/grading/test_grade.py": "graders that are killed as they go, and what may not remain",
     "tools/grading/test_public_checks.py": "further questions to a wrong function in a second",
     "tools/grading/test_quiz.py": "the wall's clock",
-    "tools/grading/test_salt.py": "processor time",
     "tools/grading/test_sandbox.py": "the sandbox's time limits, and processes that may not remain",
     "tools/grading/test_submissions.py": "processor time",
     "manual/test_lectures.py": "processor time",
-    "manual/test_manual.py": "processor time",
     "manual/test_site.py": "processor time and a browser",
     "stories/test_host_killed.py": "a flight in real time",
     "stories/test_live_demo.py": "a browser beside a flight in real time",
@@ -46,7 +44,6 @@ ALONE = {
     "tools/bridge/test_ros.py": "ROS",
     "tools/reports/test_gap_page.py": "a browser",
     "tools/bridge/test_simulated_board.py": "a board behind a pseudo-terminal in real time",
-    "vision/test_monitor.py": "processor time",
 }
 # Files that take minutes, longest first: begun late, they would keep one process busy while the
 # other waits.

@@ -48,8 +48,8 @@ def test_a_room_is_named_with_its_files(monkeypatch):
     """By hand: a room that is named has every file; one of which a file is named has others."""
     monkeypatch.setitem(ALONE, "tools/caves", "dark")
     assert needs_the_machine(TESTS / "tools" / "caves" / "test_bats.py")
-    assert needs_the_machine(TESTS / "vision" / "test_monitor.py")
-    assert not needs_the_machine(TESTS / "vision" / "test_monitor_flights.py")
+    assert needs_the_machine(TESTS / "manual" / "test_site.py")
+    assert not needs_the_machine(TESTS / "manual" / "test_manual.py")
 
 
 def test_the_longest_are_first_in_line():

@@ -104,6 +104,7 @@ def test_papers_rule_alarms_on_perfect_video_in_a_turn():
 # The kit's rule
 
 
+@pytest.mark.alone
 def test_640_by_480_is_judged_within_20_ms():
     """The issue's limit, which leaves a loop of 50 ms its time; of CPU, on one thread, the median
     of 15 pictures.

@@ -28,6 +28,7 @@ def test_the_kit_draws_a_secret_once(tmp_path):
         assert stat.S_IMODE((tmp_path / "one" / SALT_FILE).stat().st_mode) == 0o600
 
 
+@pytest.mark.alone
 def test_a_guess_takes_a_while():
     """A plain SHA-256 of each constant takes some 10 us; 50 ms are asked for, 150 ms usual."""
     begin = time.process_time()
