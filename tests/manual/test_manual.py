@@ -82,6 +82,7 @@ def test_mistake_in_the_source_says_where(tmp_path, monkeypatch, capsys):
     assert not any((tmp_path / "out").iterdir())
 
 
+@pytest.mark.alone
 def test_building_takes_seconds():
     """Ten seconds were promised; CPU time, of both forms."""
     assert cost_s() < 10.0
