@@ -12,6 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 
@@ -190,6 +191,13 @@ def kit_functions(folder: Path | None = None) -> dict[str, str]:
     return found
 
 
+@cache
+def _kit() -> tuple[Mapping[str, str], Mapping[str, Fingerprints]]:
+    """Sources and fingerprints of the kit's functions, the same for every class and lab."""
+    readable = kit_functions()
+    return readable, {name: fingerprints(text) for name, text in readable.items()}
+
+
 def _source(lines: list[bytes], node: ast.FunctionDef) -> str:
     """A function's text, as of `ast.get_source_segment`, which cuts the file into lines each time.
 
@@ -220,8 +228,7 @@ def compare_class(
         InputError: there are no notebooks at `before`.
     """
     earlier = {name: _texts(each.read, lab) for name, each in _earlier(before, lab).items()}
-    readable = kit_functions()
-    known = {name: fingerprints(text) for name, text in readable.items()}
+    readable, known = _kit()
     solution = notebook_path(folder, solution=True)
     solved = _texts(solution.read_bytes, lab) if solution.is_file() else {}
     pairs: list[SimilarPair] = []
@@ -229,7 +236,7 @@ def compare_class(
     for exercise in (each.name for each in lab.exercises):
         sides = {name: each.get(exercise, "") for name, each in now.items()}
         old = {name: each.get(exercise, "") for name, each in earlier.items()}
-        kit = known | {"solution": fingerprints(solved.get(exercise, ""))}
+        kit = {**known, "solution": fingerprints(solved.get(exercise, ""))}
         prints = [
             {name: fingerprints(text) for name, text in side.items()} for side in (sides, old)
         ]
@@ -237,7 +244,7 @@ def compare_class(
         named = sides | {f"before: {name}": text for name, text in old.items()}
         named |= {
             f"kit: {name}": text
-            for name, text in (readable | {"solution": solved.get(exercise, "")}).items()
+            for name, text in {**readable, "solution": solved.get(exercise, "")}.items()
         }
         texts |= {(exercise, name): text for name, text in named.items()}
     together: dict[tuple[str, str], list[SimilarPair]] = {}
