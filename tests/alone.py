@@ -53,7 +53,6 @@ LONGEST = (
     "stories/test_blind_naming.py",
     "stories/test_page_commands.py",
     "gap/test_name.py",
-    "tools/bridge/test_through_port.py",
     "tools/reports/test_gap_report.py",
     "labs/test_notebooks.py",
     "labs/test_grades.py",
