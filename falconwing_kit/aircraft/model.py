@@ -366,8 +366,8 @@ def state_rates(
         air = flow_of((u, v, w), (p, q, r), (x[0], x[1], x[2]), time, command, (roll, pitch))
         fx, fy, fz, mx, my, mz = loads_of(air, K)
         # Forces turned back to world axes, and gravity.
-        vx_dot, vy_dot, lift_up = to_world(sine, cosine, fx, fy, fz)
-        vz_dot = lift_up - gravity
+        vx_dot, vy_dot, force_up = to_world(sine, cosine, fx, fy, fz)
+        vz_dot = force_up - gravity
         if second_order:
             roll_dot, pitch_dot, yaw_dot = angle_rates(sine, cosine, p, q, r)
             return (

@@ -142,13 +142,13 @@ def find_touchdown(
 
 
 def is_out_of_reach(dt: float, states: Array, airframe: Airframe, pad: LandingPad) -> bool:
-    """Whether an aircraft is so high that `find_touchdown` would find no contact; quick to see.
+    """Whether an aircraft is so high that `find_touchdown` would find no contact.
 
     A wheel is at most its distance from the centre of gravity below that, and its path, a cubic,
-    falls in a step by at most dt times the largest sink rate at an end of the step.
+    falls in a step by at most dt times the wheel's largest vertical speed at an end of the step.
 
     Args:
-        dt: between both samples [s].
+        dt: between both samples [s]; one that is not above 0 is left to `find_touchdown`.
         states: (2, 12) in the order of STATE_NAMES, SI; those with a number that is not finite are
             left to `find_touchdown`.
         airframe: with the wheels.
@@ -157,8 +157,8 @@ def is_out_of_reach(dt: float, states: Array, airframe: Airframe, pad: LandingPa
     wheels = airframe.wheels
     arm = max(math.hypot(*wheel) for wheel in (wheels.main_left, wheels.main_right, wheels.tail))
     lowest = float(states[:, 2].min()) - arm
-    sink_rate = max(abs(x[8]) + arm * math.hypot(*x[9:12]) for x in states.tolist())
-    return bool(np.isfinite(states).all()) and lowest - dt * sink_rate > pad.height
+    speed = max(abs(x[8]) + arm * math.hypot(*x[9:12]) for x in states.tolist())
+    return dt > 0.0 and bool(np.isfinite(states).all()) and lowest - dt * speed > pad.height
 
 
 def _paths(t: ArrayLike, states: ArrayLike, airframe: Airframe) -> tuple[Array, Array, Array]:

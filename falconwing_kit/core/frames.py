@@ -47,8 +47,8 @@ def rotation_world_body(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Ar
 def rotation_entries(roll: Any, pitch: Any, yaw: Any) -> Any:
     """The nine entries of R_world_body, row by row, for angles (...).
 
-    The aircraft model uses this form: on batches it is several times faster than stacked matrices,
-    and it is plain arithmetic that numba compiles.
+    On batches this is several times faster than stacked matrices, and it is plain arithmetic that
+    numba compiles.
 
     Returns:
         Three rows of three entries, each (...).
@@ -56,24 +56,6 @@ def rotation_entries(roll: Any, pitch: Any, yaw: Any) -> Any:
     sin_roll, cos_roll = sine_and_cosine(roll)
     sin_pitch, cos_pitch = sine_and_cosine(pitch)
     sin_yaw, cos_yaw = sine_and_cosine(yaw)
-    return rotation_rows(sin_roll, cos_roll, sin_pitch, cos_pitch, sin_yaw, cos_yaw)
-
-
-def sine_and_cosine(angle: Any) -> Any:
-    """Sine and cosine, each (...), by the tangent of half the angle t.
-
-    sin = 2 t / (1 + t^2), cos = 2 / (1 + t^2) - 1. One vectorised tan is faster than sin and cos;
-    the results agree to 1e-15.
-    """
-    half = np.tan(0.5 * angle)
-    twice_cos2_half = 2.0 / (1.0 + half * half)
-    return half * twice_cos2_half, twice_cos2_half - 1.0
-
-
-def rotation_rows(
-    sin_roll: Any, cos_roll: Any, sin_pitch: Any, cos_pitch: Any, sin_yaw: Any, cos_yaw: Any
-) -> Any:
-    """The same as `rotation_entries` from sines and cosines."""
     sin_roll_sin_pitch, cos_roll_sin_pitch = sin_roll * sin_pitch, cos_roll * sin_pitch
     return (
         (
@@ -88,6 +70,17 @@ def rotation_rows(
         ),
         (sin_pitch, -sin_roll * cos_pitch, -cos_roll * cos_pitch),
     )
+
+
+def sine_and_cosine(angle: Any) -> Any:
+    """Sine and cosine, each (...), by the tangent of half the angle t.
+
+    sin = 2 t / (1 + t^2), cos = 2 / (1 + t^2) - 1. One vectorised tan is faster than sin and cos;
+    the results agree to 1e-15.
+    """
+    half = np.tan(0.5 * angle)
+    twice_cos2_half = 2.0 / (1.0 + half * half)
+    return half * twice_cos2_half, twice_cos2_half - 1.0
 
 
 def turn_to_body(sine: Any, cosine: Any, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
@@ -146,7 +139,7 @@ def euler_rates(row_z: Any, p: Any, q: Any, r: Any) -> Any:
     pitch), which the caller already has: this saves four sines and cosines per evaluation.
 
     Args:
-        row_z: last row of R_world_body, three entries of shape (...), pitch away from +-90 deg.
+        row_z: last row of R_world_body, three entries of shape (...), |pitch| < 90 deg.
         p: (...) roll rate about the nose [rad/s].
         q: (...) pitch rate about the right wing [rad/s].
         r: (...) yaw rate about the belly [rad/s].
@@ -162,14 +155,21 @@ def euler_rates(row_z: Any, p: Any, q: Any, r: Any) -> Any:
 
 
 def euler_rates_of_angles(sine: Any, cosine: Any, p: Any, q: Any, r: Any) -> Any:
-    """The same as `euler_rates` from the sines and cosines of roll, pitch and yaw.
+    """`euler_rates` from the sines and cosines of the angles, its equation as it stands there.
 
-    Beyond 90 deg of pitch `euler_rates` divides by |cos pitch|, hence the sign.
+    Args:
+        sine: of roll, pitch and yaw, three entries (...), pitch away from +-90 deg.
+        cosine: likewise.
+        p: (...) roll rate about the nose [rad/s].
+        q: (...) pitch rate about the right wing [rad/s].
+        r: (...) yaw rate about the belly [rad/s].
+
+    Returns:
+        roll_rate, pitch_rate, yaw_rate, each (...) [rad/s].
     """
     (sin_roll, sin_pitch, _), (cos_roll, cos_pitch, _) = sine, cosine
     yaw_rate = (q * sin_roll + r * cos_roll) / cos_pitch
-    pitch_rate = (q * cos_roll - r * sin_roll) * np.sign(cos_pitch)
-    return p + sin_pitch * yaw_rate, pitch_rate, yaw_rate
+    return p + sin_pitch * yaw_rate, q * cos_roll - r * sin_roll, yaw_rate
 
 
 def up_in_body(roll: ArrayLike, pitch: ArrayLike) -> tuple[Array, Array, Array]:

@@ -125,7 +125,6 @@ def _steps(
     return states[pairs].T, states[pairs + 1].T, actuator_positions[pairs].T, np.diff(t)[pairs]
 
 
-@np.errstate(all="ignore")
 def _advance(
     model: Model, vectors: Array, before: Array, actuator_positions: Array, duration: Array
 ) -> Array:

@@ -191,8 +191,8 @@ def predict(
     begin = windows.edges[:, windows.warmup_steps :].T  # (S + 1, W)
     n_columns, n_windows = initial_states.shape[1:]
     poses = np.empty((windows.nodes.shape[1], 6, n_columns, n_windows))
-    # A parameter equal in all columns stays a scalar; a varied one is (C, 1) and broadcasts
-    # against states (C, W).
+    # For the measured poses, which few models correct, a parameter equal in all columns stays a
+    # number and a varied one is (C, 1), beside states (C, W).
     varied = np.ptp(values, axis=1) > 0.0
     K = parameter_record(model.names)(
         *(v[:, None] if many else float(v[0]) for v, many in zip(values, varied, strict=True))

@@ -13,8 +13,8 @@
  *  - a write to PORTB shows on PB5 although the timer owns that pin; ignored then (on_port);
  *  - it stops where silicon goes on: asleep with interrupts off, or outside flash or memory. After a disturbed bit
  *    (sim_flip) the chip then stands still until its watchdog resets it;
- *  - it does not know the mode in which Arduino's core starts timers 2 to 5, 8-bit phase-correct PWM, and wraps them at
- *    every tick; here they count to 255, without the way back (name_phase_correct_mode);
+ *  - it lacks the mode in which Arduino's core starts the timers, 8-bit phase-correct PWM, and wraps them at every tick;
+ *    here they count to 255, without the way back (add_phase_correct_mode);
  *  - it does not compare a pin's direction with its level (on_direction);
  *  - during a reset its pins keep their level; on hardware the resistors define it;
  *  - there is no bootloader: the sketch starts immediately.
@@ -252,7 +252,7 @@ void sim_close(board *b) {
     free(b);
 }
 
-static void name_phase_correct_mode(avr_timer_t *timer) { /* table 17-2, mode 1; what simavr has is left as it is */
+static void add_phase_correct_mode(avr_timer_t *timer) { /* mode 1 of each; what simavr has is left as it is */
     const avr_timer_wgm_t to_255 = AVR_TIMER_WGM_FCPWM8();
     if (timer->wgm_op[1].kind == avr_timer_wgm_none) timer->wgm_op[1] = to_255;
 }
@@ -261,7 +261,7 @@ static void connect_pins(board *b) {
     avr_t *avr = b->avr;
     for (avr_io_t *io = avr->io_port; io; io = io->next) {
         if (!strcmp(io->kind, "timer")) {
-            name_phase_correct_mode((avr_timer_t *)io);
+            add_phase_correct_mode((avr_timer_t *)io);
             if (((avr_timer_t *)io)->name == '1') b->timer1 = (avr_timer_t *)io;
         }
         for (int i = 0; i < UARTS; i++)

@@ -276,6 +276,9 @@ def test_nothing_out_of_reach_touches_the_ground(rng):
         touches = find_touchdown(T[:2], step, AIRFRAME, PAD) is not None
         outcomes.add((is_out_of_reach(0.05, step, AIRFRAME, PAD), touches))
     assert outcomes == {(True, False), (False, False), (False, True)}
+    high = flight(T[:2], 12, pz=9.0)
+    assert is_out_of_reach(0.05, high, AIRFRAME, PAD)
+    assert not any(is_out_of_reach(dt, high, AIRFRAME, PAD) for dt in (0.0, -0.05, np.nan))
     for column, bad in ((0, np.nan), (2, np.inf), (7, np.nan), (11, np.inf)):
         step = flight(T[:2], 12, pz=9.0)
         step[1, column] = bad

@@ -139,14 +139,23 @@ def test_euler_rates_match_the_derivative_of_the_rotation(angles, rng):
 
 
 @pytest.mark.parametrize("pitch", [-3.0, -1.2, 0.0, 1.4, 1.7])
-def test_euler_rates_of_angles_are_those_of_the_last_row(pitch, rng):
-    """The same equation in two forms, also beyond 90 deg of pitch, to rounding over cos pitch."""
-    roll, p, q, r = rng.uniform(-3.0, 3.0, (4, 200))
-    by_row = euler_rates(rotation_entries(roll, pitch, 0.0)[2], p, q, r)
-    by_angles = euler_rates_of_angles(
-        *sine_and_cosine(np.array([roll, 0.0 * roll + pitch, roll])), p, q, r
-    )
-    assert np.abs(np.array(by_angles) - np.array(by_row)).max() < 1e-12
+def test_euler_rates_of_angles_match_the_derivative_too(pitch, rng):
+    """The same law, also beyond 90 deg of pitch; below that `euler_rates` gives the same, to
+    rounding over cos pitch.
+    """
+    roll, yaw, p, q, r = rng.uniform(-3.0, 3.0, (5, 200))
+    pitch = np.full(200, pitch)
+    rates = euler_rates_of_angles(*sine_and_cosine(np.array([roll, pitch, yaw])), p, q, r)
+    h = 1e-6
+    ahead = rotation_world_body(roll + h * rates[0], pitch + h * rates[1], yaw + h * rates[2])
+    behind = rotation_world_body(roll - h * rates[0], pitch - h * rates[1], yaw - h * rates[2])
+    zero = np.zeros(200)
+    cross = np.moveaxis(np.array([[zero, -r, q], [r, zero, -p], [-q, p, zero]]), -1, 0)
+    expected = rotation_world_body(roll, pitch, yaw) @ cross
+    assert np.abs((ahead - behind) / (2.0 * h) - expected).max() < 1e-7
+    if abs(pitch[0]) < 0.5 * np.pi:
+        by_row = euler_rates(rotation_entries(roll, pitch, yaw)[2], p, q, r)
+        assert np.abs(np.array(rates) - np.array(by_row)).max() < 1e-12
 
 
 def test_body_rates_invert_euler_rates(angles, rng):

@@ -330,6 +330,16 @@ def test_a_flight_that_stands_still_is_not_drawn_again(visit, school):
     assert page.evaluate("[wakes, charted, drawn]") == [0, 0, before]
     school.say(state_bytes(1.05))
     until(page, "wakes === 1 && charted === 1 && drawn > " + str(before))
+    # A page that had no time for a second, or was hidden, still draws the newest state.
+    before = page.evaluate(
+        """() => {
+          classroomPage.view.wake();
+          const end = performance.now() + 1000;
+          while (performance.now() < end);
+          return drawn;
+        }"""
+    )
+    until(page, "drawn > " + str(before))
 
 
 def test_seat_asks_waits_and_flies_only_while_held(visit, school):

@@ -301,6 +301,37 @@ def test_a_lost_context_is_reported_and_drawn_again(shown):
     assert np.array_equal(shown.picture(camera, FOV_DEG), before)
 
 
+@pytest.mark.parametrize("ends", ["lost", "disposed"])
+def test_a_frame_that_is_being_drawn_when_the_view_ends_does_no_harm(shown, ends):
+    """The graphics go, or the view does, with a frame under way: no complaint, and graphics that
+    come back show the last view that was asked for, at y = 0.3 m.
+    """
+    shown.open_view("wall", keep=False)
+    poses = [nose((0.0, y, 1.0, 0.0, 0.0, 0.0)).ravel().tolist() for y in (0.0, 0.3)]
+    shown.page.evaluate(
+        """([T, end]) => {
+          globalThis.complaints = [];
+          addEventListener("error", (event) => complaints.push(event.message));
+          said.length = 0;
+          globalThis.lose = view.gl.getExtension("WEBGL_lose_context");
+          view.draw(T);
+          if (!view.frame) complaints.push("no frame is being drawn");
+          if (end === "lost") lose.loseContext();
+          else view.dispose();
+          view.draw(T);
+        }""",
+        [poses[0], ends],
+    )
+    if ends == "lost":
+        shown.page.wait_for_function("said.length === 1")
+        shown.page.evaluate("T => view.draw(T)", poses[1])
+        shown.page.evaluate("lose.restoreContext()")
+        shown.page.wait_for_function("said.length === 2 && view.shown !== '' && !view.frame")
+        assert shown.page.evaluate("JSON.parse(view.shown)[0]") == poses[1]
+    shown.page.wait_for_timeout(300)
+    assert shown.page.evaluate("complaints") == []
+
+
 def test_the_canvas_follows_its_size_up_to_one_and_a_half_pixels(shown):
     """By hand: 120 x 180 on the page are so many pixels, and 180 x 270 at 3 device pixels each."""
     shown.open_view("wall")

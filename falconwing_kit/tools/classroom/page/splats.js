@@ -400,8 +400,8 @@ export class SplatView {
 
   // Draw one frame from a camera (row-major 4 x 4, "world from camera"); nothing if it is shown.
   draw(T_world_camera, { fovDeg = 70 } = {}) {
+    this.last = [T_world_camera, { fovDeg }]; // drawn when the graphics are back
     if (this.lost) return;
-    this.last = [T_world_camera, { fovDeg }];
     if (this.next || this.frame) return; // it waits for an order or a frame, and then draws the last view
     this.fit();
     this.askForOrder(T_world_camera, fovDeg);
@@ -465,6 +465,7 @@ export class SplatView {
       this.countFrame(begin, performance.now() - begin);
       return;
     }
+    if (gl.isContextLost()) return; // the event that says so comes later
     this.shown = this.describe(T, fovDeg);
     this.frame = { begin, fence: gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0) };
     gl.flush();
@@ -476,7 +477,7 @@ export class SplatView {
   watch(frame) {
     if (frame !== this.frame) return; // the graphics are lost
     const { gl } = this;
-    const took = performance.now() - frame.begin;
+    const took = Math.min(performance.now() - frame.begin, LONGEST_MS);
     if (gl.getSyncParameter(frame.fence, gl.SYNC_STATUS) !== gl.SIGNALED && took < LONGEST_MS) {
       setTimeout(() => this.watch(frame), POLL_MS);
       return;
@@ -751,7 +752,7 @@ export class SplatView {
     stats.frameMs = smooth(stats.frameMs, took);
     const gap = begin - this.lastDraw;
     const isPause = this.lastDraw === 0 || gap > Math.max(1000, 2 * took); // nothing was to be drawn
-    stats.fps = 1000 / smooth(stats.fps > 0 ? 1000 / stats.fps : 0, isPause ? took : Math.max(gap, took));
+    if (!isPause) stats.fps = 1000 / smooth(stats.fps > 0 ? 1000 / stats.fps : 0, Math.max(gap, took));
     this.lastDraw = begin;
     if (!this.keep && document.visibilityState === "visible") this.keepPace(took);
   }
@@ -762,7 +763,7 @@ export class SplatView {
     const isStuck = Math.min(took, pace.before) > STUCK_MS;
     pace.before = took;
     pace.frames += 1;
-    pace.sum += took;
+    pace.sum += Math.min(took, STUCK_MS); // one long frame, as of a page that was asleep, changes nothing
     if (pace.frames < PACE_FRAMES && !isStuck) return;
     const mean = pace.sum / pace.frames;
     [pace.frames, pace.sum] = [0, 0];

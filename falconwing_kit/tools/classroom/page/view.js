@@ -95,6 +95,7 @@ export class HallView {
     this.shown = null;
     this.period = 50;
     this.drawnUntil = 0;
+    this.settled = false; // the newest state is drawn, and its order has had time to come
     this.drawing = this.drawing.bind(this);
     if (!SplatView.supported()) this.fail("This browser has no WebGL2");
     channel.on("hello", (hello) => this.begin(hello));
@@ -201,12 +202,13 @@ export class HallView {
 
   wake() {
     this.drawnUntil = performance.now() + STEADY_MS;
+    this.settled = false;
   }
 
   drawing(now) {
     requestAnimationFrame(this.drawing);
     if (!this.splats || !this.hello || this.suspended || this.camera === "picture") return;
-    if (performance.now() > this.drawnUntil) return;
+    if (this.settled) return;
     const shown = this.poses(performance.now());
     if (!shown) return;
     const aircraft = [];
@@ -215,6 +217,7 @@ export class HallView {
     this.splats.setAircraft(aircraft);
     const { T_world_camera, fovDeg } = this.look(shown.pose);
     this.splats.draw(T_world_camera, { fovDeg, time: now / 1000 });
+    this.settled = performance.now() > this.drawnUntil;
   }
 
   look(pose) {
