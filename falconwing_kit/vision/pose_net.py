@@ -81,8 +81,11 @@ class PoseNet:
     def __init__(self, network: "PoseNetwork", record: PoseNetRecord) -> None:
         import torch
 
+        from falconwing_kit.vision.pose_network import fold_batch_norm
+
+        self.network = network.eval()
         # channels beside each other in memory: convolutions on a CPU take a fifth less time
-        self.network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._folded = fold_batch_norm(network).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.record = record
         self._rays = cell_rays(record.camera)
 
@@ -200,8 +203,8 @@ class PoseNet:
         import torch
 
         image = require_image(image, camera, rgb=True, min_side_px=32)
-        with torch.no_grad():
-            return self.network(self.resample(torch.from_numpy(image)[None], camera))
+        with torch.inference_mode():
+            return self._folded(self.resample(torch.from_numpy(image)[None], camera))
 
     def resample(self, images: "Tensor", camera: PinholeCamera) -> "Tensor":
         """Images (B, H, W, 3) of bytes as the trained camera would take them: (B, 3, h, w) in 0..1.
@@ -230,7 +233,7 @@ class PoseNet:
         from falconwing_kit.vision.pose_network import fuse_pose
 
         rays = torch.from_numpy(self._rays).float()
-        with torch.no_grad():
+        with torch.inference_mode():
             R, position, information = fuse_pose(output, rays, self.network.log_trust)
         scale = np.repeat(self.record.sigma_scales, 3)
         covariances = torch.linalg.inv(information.double()).numpy() * scale * scale[:, None]

@@ -11,12 +11,14 @@ can be loaded.
 """
 
 import math
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 PATCH, CELL = 16, 8  # px; a token covers a patch and predicts its 2 x 2 cells
 STEMS = ("conv", "patch")
@@ -188,6 +190,21 @@ class PoseNetwork(nn.Module):
             points=middle + self.half_size * cells[..., :3],
             log_sigma_points=cells[..., 3].clamp(LOG_SIGMA_LOW, LOG_SIGMA_HIGH),
         )
+
+
+def fold_batch_norm(network: PoseNetwork) -> PoseNetwork:
+    """A copy for flying: each batch normalisation is part of the convolution before it.
+
+    w' = w g / sqrt(v + eps),  b' = b - m g / sqrt(v + eps)  with the running mean m and variance v,
+    the gain g and the offset b [Ioffe & Szegedy 2015, algorithm 2, line 11].
+    """
+    folded = deepcopy(network).eval()
+    for unit in folded.modules():
+        match list(unit.children()):
+            case [nn.Conv2d() as convolution, nn.BatchNorm2d() as norm, _]:
+                unit.add_module("0", fuse_conv_bn_eval(convolution, norm))
+                unit.add_module("1", nn.Identity())
+    return folded
 
 
 def load_vit(network: PoseNetwork, tensors: dict[str, Tensor]) -> int:

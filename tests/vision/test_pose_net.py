@@ -306,3 +306,22 @@ def test_pretrained_vit_is_loaded_by_its_usual_names():
     assert network.blocks[0].attn.qkv.weight.detach().unique().tolist() == [0.5]
     assert torch.allclose(network.pos_embed, torch.tensor(0.25))
     assert network.pos_embed.shape == (1, 1 + 3 * 4, 32)
+
+
+def test_batch_normalisation_folded_for_flying_changes_no_output():
+    net = small_net()
+    torch.manual_seed(1)
+    for module in net.network.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            for value in (module.running_mean, module.bias.data):
+                value.normal_()
+            for value in (module.running_var, module.weight.data):
+                value.uniform_(0.5, 2.0)
+    net = PoseNet(net.network, net.record)
+    camera = net.record.camera
+    image = np.random.default_rng(2).integers(0, 256, (camera.height, camera.width, 3), np.uint8)
+    flown = net.predict(image, camera)
+    with torch.no_grad():
+        trained = net.network(net.resample(torch.from_numpy(image)[None], camera))
+    for got, expected in zip(flown, trained, strict=True):
+        torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-4)
