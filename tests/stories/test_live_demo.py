@@ -23,6 +23,8 @@ from PIL import Image as Picture
 
 from falconwing_kit.core.messages import Command, Image, State
 from falconwing_kit.flight.loop import LoopStep
+from falconwing_kit.scene import load_scene
+from falconwing_kit.tools.classroom import flight_page
 from falconwing_kit.tools.classroom.flight_page import FlightPage
 from tests.chromium import headless_chromium
 
@@ -167,6 +169,24 @@ def test_demo_flies_on_the_wall_and_its_log_in_the_player(browser, tmp_path):
         assert visit.hosts() == {"127.0.0.1"} and visit.complaints == []
         visit.page.close()
     assert replay.returncode == 0
+
+
+def test_a_flight_waits_until_the_hall_is_drawn(browser, monkeypatch):
+    """As long as there is no hall, to the limit; then only until a spectator sees its pad."""
+    with FlightPage("hall", free_port()) as page:
+        visit = Visit(browser, page.url)
+        visit.says("being prepared")
+        monkeypatch.setattr(flight_page, "HALL_S", 2.0)
+        begin = time.monotonic()
+        assert page.wait_for_viewer(0.0) and time.monotonic() - begin > 2.0
+        page.set_scene(load_scene("hall"))
+        monkeypatch.setattr(flight_page, "HALL_S", 2.0 * PATIENCE_S)
+        begin = time.monotonic()
+        assert page.wait_for_viewer(0.0) and time.monotonic() - begin < PATIENCE_S
+        seen = visit.look(".hall-canvas")
+        assert blue(seen) > 0.005 and seen.std() > 20.0  # the pad is further away here
+        assert visit.complaints == []
+        visit.page.close()
 
 
 def flown(k: int, mode: str = "straight on") -> LoopStep:

@@ -29,6 +29,7 @@ from falconwing_kit.tools.classroom.server import Server
 from falconwing_kit.tools.classroom.session import STRETCH
 
 REPEAT_S = 0.3  # without a step, after which the newest is sent again
+HALL_S = 60.0  # a browser's time to draw the hall, once it has the page
 LEFT_S = 5.0  # without a browser, after which a page that is kept is closed
 NO_POSE = State.from_vector(np.full(9, np.nan))
 WALL, PLAYER = "wall.html", "flight.html"
@@ -113,11 +114,16 @@ class FlightPage:
         return webbrowser.open(self.url)
 
     def wait_for_viewer(self, seconds: float) -> bool:
-        """Wait at most `seconds` until a browser shows the page; False if none did."""
-        end = time.monotonic() + seconds
-        while not self._server.clients and time.monotonic() < end:
+        """Wait at most `seconds` until a browser has the page, and then HALL_S until it shows the
+        hall, which takes long without a GPU; False if none has the page.
+        """
+        begin = time.monotonic()
+        while True:
+            clients, waited = list(self._server.clients.values()), time.monotonic() - begin
+            limit = seconds + HALL_S if clients else seconds
+            if any(client.ready for client in clients) or waited > limit:
+                return bool(clients)
             time.sleep(0.05)
-        return bool(self._server.clients)
 
     def show(self, step: LoopStep) -> None:
         """Show a step; a page that is behind misses it, and the flight never waits.

@@ -93,6 +93,7 @@ class Client:
     socket: ServerConnection
     name: str = ""
     pictures: bool = False  # whether it asked for them
+    ready: bool = False  # whether the hall is on its screen, or will not be
     counts: Counter[str] = field(default_factory=Counter)  # of dropped messages, by reason
     allowances: dict[str, tuple[float, float]] = field(default_factory=dict)  # token buckets
     second: tuple[int, int] = (0, 0)  # the present second and its number of messages
@@ -400,6 +401,8 @@ class Server:
             broadcast([client.socket], write_text("pong", stamp=stamp if is_number else None))
         elif text["type"] == "picture":
             client.pictures = text.get("on") is True
+        elif text["type"] == "ready":
+            client.ready = True
         else:
             self._room.text_from(client, text)
         return True

@@ -313,6 +313,7 @@ export class SplatView {
     this.next = null; // a view that waits for its order
     this.frame = null; // {fence, begin} of the frame that is being drawn, and while it rests after it
     this.shown = ""; // what the newest frame shows, as a text
+    this.isHallSeen = false; // whether a frame with the hall in it is done
     this.lost = false;
     this.onlost = (event) => {
       event.preventDefault();
@@ -467,7 +468,8 @@ export class SplatView {
     }
     if (gl.isContextLost()) return; // the event that says so comes later
     this.shown = this.describe(T, fovDeg);
-    this.frame = { begin, fence: gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0) };
+    const hasHall = this.order.count > 0;
+    this.frame = { begin, hasHall, fence: gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0) };
     gl.flush();
     this.watch(this.frame);
   }
@@ -483,6 +485,7 @@ export class SplatView {
       return;
     }
     gl.deleteSync(frame.fence);
+    this.isHallSeen ||= frame.hasHall;
     this.countFrame(frame.begin, took);
     const goOn = () => {
       if (frame !== this.frame) return;

@@ -71,6 +71,7 @@ export class Pictures {
  */
 export class HallView {
   constructor(box, channel, pictures, { camera = "chase", onchange = () => {} } = {}) {
+    this.channel = channel;
     this.pictures = pictures;
     this.onchange = onchange;
     this.camera = camera;
@@ -96,11 +97,13 @@ export class HallView {
     this.period = 50;
     this.drawnUntil = 0;
     this.settled = false; // the newest state is drawn, and its order has had time to come
+    this.saidReady = false; // the server knows that the hall is seen here
     this.drawing = this.drawing.bind(this);
     if (!SplatView.supported()) this.fail("This browser has no WebGL2");
     channel.on("hello", (hello) => this.begin(hello));
     channel.on("preparing", (message) => this.prepare(message));
     channel.on("state", (state) => this.take(state));
+    document.addEventListener("visibilitychange", () => this.sayReady());
     this.setCamera(camera);
     requestAnimationFrame(this.drawing);
   }
@@ -108,6 +111,8 @@ export class HallView {
   /** Load the hall that the class flies in as soon as it is there; the aircraft is drawn before. */
   async begin(hello) {
     this.hello = hello;
+    this.saidReady = false;
+    this.sayReady();
     if (this.failed || this.address === hello.scene_url) return;
     this.address = hello.scene_url;
     try {
@@ -200,6 +205,12 @@ export class HallView {
     return `The hall: ${Math.round(fps)} pictures a second, sorted in ${Math.round(sortMs)} ms.`;
   }
 
+  /** Say once that a flight may begin: the hall is on the screen, or will not be. */
+  sayReady() {
+    const waits = this.camera !== "picture" && !document.hidden && !this.splats?.isHallSeen;
+    if (!this.saidReady && !waits) this.saidReady = this.channel.send({ type: "ready" });
+  }
+
   wake() {
     this.drawnUntil = performance.now() + STEADY_MS;
     this.settled = false;
@@ -207,15 +218,15 @@ export class HallView {
 
   drawing(now) {
     requestAnimationFrame(this.drawing);
+    this.sayReady();
     if (!this.splats || !this.hello || this.suspended || this.camera === "picture") return;
     if (this.settled) return;
     const shown = this.poses(performance.now());
-    if (!shown) return;
     const aircraft = [];
-    if (this.camera !== "nose") aircraft.push({ T_world_body: shown.pose, color: null, opacity: 1 });
-    if (shown.leader) aircraft.push({ T_world_body: shown.leader, color: LEADER_COLOR, opacity: 1 });
+    if (shown && this.camera !== "nose") aircraft.push({ T_world_body: shown.pose, color: null, opacity: 1 });
+    if (shown?.leader) aircraft.push({ T_world_body: shown.leader, color: LEADER_COLOR, opacity: 1 });
     this.splats.setAircraft(aircraft);
-    const { T_world_camera, fovDeg } = this.look(shown.pose);
+    const { T_world_camera, fovDeg } = shown ? this.look(shown.pose) : this.lookAtPad();
     this.splats.draw(T_world_camera, { fovDeg, time: now / 1000 });
     this.settled = performance.now() > this.drawnUntil;
   }
@@ -233,6 +244,14 @@ export class HallView {
       return { T_world_camera: towerCamera(pose, place), fovDeg };
     }
     return { T_world_camera: chaseCamera(pose, { hall: this.hello.hall }), fovDeg: CHASE_FOV_DEG };
+  }
+
+  /** The spectator's view before anything flies. */
+  lookAtPad() {
+    const { pad, hall } = this.hello;
+    const x = pad ? 0.5 * (pad.x0 + pad.x1) : 0.5 * (hall.x[0] + hall.x[1]);
+    const y = pad ? 0.5 * (pad.y0 + pad.y1) : 0.5 * (hall.y[0] + hall.y[1]);
+    return { T_world_camera: towerCamera(poseMatrix(x, y, 0, 0, 0, 0), this.tower()), fovDeg: TOWER_FOV_DEG[1] };
   }
 
   /** Where a spectator stands: beside the landing pad, inside the hall, eyes at 2.2 m [m]. */
