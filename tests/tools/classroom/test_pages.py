@@ -309,6 +309,7 @@ def test_a_flight_that_stands_still_is_not_drawn_again(visit, school):
     page = visit("/wall")
     school.say(state_bytes(1.0))
     until(page, "globalThis.drawn > 0 && document.querySelector('.chart canvas').width > 20")
+    until(page, "classroomPage.state && !classroomPage.drawn")  # the pad is drawn before a state
     page.evaluate(
         """() => {
           const { view, charts } = classroomPage;
