@@ -248,17 +248,21 @@ export class HallView {
 
   /** The spectator's view before anything flies. */
   lookAtPad() {
-    const { pad, hall } = this.hello;
-    const x = pad ? 0.5 * (pad.x0 + pad.x1) : 0.5 * (hall.x[0] + hall.x[1]);
-    const y = pad ? 0.5 * (pad.y0 + pad.y1) : 0.5 * (hall.y[0] + hall.y[1]);
-    return { T_world_camera: towerCamera(poseMatrix(x, y, 0, 0, 0, 0), this.tower()), fovDeg: TOWER_FOV_DEG[1] };
+    const pad = poseMatrix(...this.middle(), 0, 0, 0, 0);
+    return { T_world_camera: towerCamera(pad, this.tower()), fovDeg: TOWER_FOV_DEG[1] };
   }
 
   /** Where a spectator stands: beside the landing pad, inside the hall, eyes at 2.2 m [m]. */
   tower() {
+    const { hall } = this.hello;
+    return [this.middle()[0] + 2, hall.y[0] + 1.5, Math.min(2.2, hall.z[1] - 0.3)];
+  }
+
+  /** Middle of the landing pad, or of a hall without one: x and y [m]. */
+  middle() {
     const { pad, hall } = this.hello;
-    const x = pad ? 0.5 * (pad.x0 + pad.x1) : 0.5 * (hall.x[0] + hall.x[1]);
-    return [x + 2, hall.y[0] + 1.5, Math.min(2.2, hall.z[1] - 0.3)];
+    const [x, y] = pad ? [[pad.x0, pad.x1], [pad.y0, pad.y1]] : [hall.x, hall.y];
+    return [0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])];
   }
 }
 
