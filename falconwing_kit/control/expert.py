@@ -14,6 +14,7 @@ forward, a camera tilt is taken out of the measured attitude (control/inverse.py
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -51,6 +52,8 @@ MAX_SPEED_CORRECTION = 1.2  # [m/s]
 WALL_MARGIN = 0.8  # of a follower to walls, floor and beams [m]; its half span is 0.35 m
 NO_STATE = "no state"
 AutopilotType = Callable[[Model, float, float], Autopilot | SuccessiveAutopilot]
+# of landings, which begin beside the glide path and have three seconds to come back to it
+LANDING_AUTOPILOT = partial(Autopilot, begins_beside=True)
 
 
 class LeaderTrajectory(Protocol):
@@ -165,7 +168,7 @@ class LandingExpert:
     def __init__(
         self, model: Model, airframe: Airframe, pad: LandingPad,
         speed: float | None = None, delay: float = LINK_DELAY_S,
-        observer: StateObserver | None = None, autopilot: AutopilotType = Autopilot,
+        observer: StateObserver | None = None, autopilot: AutopilotType = LANDING_AUTOPILOT,
     ) -> None:  # fmt: skip
         """Design loops and approach.
 

@@ -33,7 +33,7 @@ SPEED = KIT_SPEED  # [m/s] of the kit's aircraft
 # position error counts less, as the square: a longer delay needs a lower bandwidth.
 SIZED_FOR_DELAY_S = 0.11
 INTEGRAL_LIMIT = 1.5  # of an integral, in multiples of its size in the axis
-POSITION_LIMITS = 1.0, 0.5  # lateral and vertical position error that the loops act on [m]
+POSITION_LIMITS = {"py": 1.0, "pz": 0.5}  # most position error that the loops act on [m]
 TABLE_SPEEDS = (0.80, 0.90, 1.0, 1.15)  # shares of the speed
 TABLE_CLIMBS = np.radians((-3.0, 0.0, 8.0))
 TABLE_BANKS = np.radians((-40.0, -20.0, 0.0, 20.0, 40.0))
@@ -92,6 +92,12 @@ class ClosedLoop:
     def poles(self) -> NDArray[np.complex128]:
         """(n,) eigenvalues of A - B gain; stable where all lie inside the unit circle."""
         return np.linalg.eigvals(self.A - self.B @ self.gain).astype(np.complex128)
+
+    @property
+    def A_returning(self) -> Array:
+        """(m, m): A - B gain of deviations and delayed inputs alone, without the integrals."""
+        m = len(self.A) - len(self.axis.integrals)
+        return (self.A - self.B @ self.gain)[:m, :m]
 
     @property
     def delay_steps(self) -> int:
@@ -386,17 +392,24 @@ class Autopilot(ReferenceTracker):
 
     def __init__(
         self, model: Model, speed: float = SPEED, delay: float = LINK_DELAY_S,
-        integrates: bool = True,
+        integrates: bool = True, begins_beside: bool = False,
     ) -> None:  # fmt: skip
         """Design both loops; InputError where the model cannot be trimmed or stabilised.
 
-        Without integral action it is right only for the very model that flies, but then also while
-        another pilot flies: there is nothing in it that winds up.
+        Args:
+            model: the aircraft.
+            speed: that the loops are designed for [m/s].
+            delay: from a command to its arrival at the aircraft [s].
+            integrates: without integral action it is right only for the very model that flies, but
+                then also while another pilot flies: there is nothing in it that winds up.
+            begins_beside: whether the flight begins beside its reference. Then the way back to it
+                is not integrated.
         """
         trims, *self.loops = _design(*model_key(design_model(model)), speed, delay)
         super().__init__(model, speed, trims)
-        self._integrates = integrates
+        self._integrates, self._begins_beside = integrates, begins_beside
         self._integrals = [np.zeros(len(loop.axis.integrals)) for loop in self.loops]
+        self._expected: list[Array | None] = [None for loop in self.loops]
 
     def command(
         self,
@@ -421,7 +434,7 @@ class Autopilot(ReferenceTracker):
         steady, deviations, _ = self.deviations(state, reference, idle, t)
         past = require_shape("past_commands", past_commands, (None, 4))[::-1]
         control_inputs = steady.copy()
-        for loop, integral in zip(self.loops, self._integrals, strict=True):
+        for k, loop in enumerate(self.loops):
             columns = [COMMAND_NAMES.index(name) for name in loop.axis.control_inputs]
             # State of the augmented model: deviations, delayed inputs newest first, integrals. An
             # input that was never sent counts as the steady flight's.
@@ -431,14 +444,31 @@ class Autopilot(ReferenceTracker):
                 for row in past[: loop.delay_steps]
             ]
             delayed += [np.zeros(len(columns))] * (loop.delay_steps - len(delayed))
-            x = [deviations[name] for name in loop.axis.states]
-            control_inputs[columns] -= loop.gain @ np.concatenate([x, *delayed, integral])
-            # Anti-windup: the integrals are bounded [Astrom & Murray, sec. 11.4: windup].
-            error = np.array([deviations[name] for name in loop.axis.integrals])
-            limit = INTEGRAL_LIMIT * np.array(list(loop.axis.integrals.values()))
+            x = np.concatenate([[deviations[name] for name in loop.axis.states], *delayed])
+            control_inputs[columns] -= loop.gain @ np.concatenate([x, self._integrals[k]])
             if self._integrates:
-                integral[:] = np.clip(integral + CONTROL_PERIOD_S * error, -limit, limit)
+                self._integrate(k, x)
         return self.to_command(control_inputs, idle)
+
+    def _integrate(self, k: int, x: Array) -> None:
+        """Add the deviations x to the integrals of a loop, without those of the way back.
+
+        On its way back the design follows x[i+1] = (A - B K) x[i] without the integrals, from the
+        first deviation, or from the last one beyond the limit of the position error. Were that
+        integrated too, the aircraft would fly past its reference: an integral returns to zero only
+        where the areas on both sides are equal.
+        """
+        loop, states = self.loops[k], list(self.loops[k].axis.states)
+        if self._begins_beside:
+            name = next(name for name in states if name in POSITION_LIMITS)
+            expected = self._expected[k]
+            if expected is None or abs(x[states.index(name)]) >= POSITION_LIMITS[name]:
+                expected = x
+            x, self._expected[k] = x - expected, loop.A_returning @ expected
+        error = x[[states.index(name) for name in loop.axis.integrals]]
+        # Anti-windup: the integrals are bounded [Astrom & Murray, sec. 11.4: windup].
+        limit = INTEGRAL_LIMIT * np.array(list(loop.axis.integrals.values()))
+        self._integrals[k] = np.clip(self._integrals[k] + CONTROL_PERIOD_S * error, -limit, limit)
 
 
 def air_velocity(reference: Reference, wind: Array | None) -> tuple[float, float, float]:
@@ -479,7 +509,7 @@ def course_deviations(
     offset, v = state.p_world - reference.p_world, state.v_world
     lateral, vertical = (
         min(max(float(d), -limit), limit)
-        for d, limit in zip((offset @ left, offset[2]), POSITION_LIMITS, strict=True)
+        for d, limit in zip((offset @ left, offset[2]), POSITION_LIMITS.values(), strict=True)
     )
     return {
         "py": lateral,
