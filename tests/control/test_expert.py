@@ -68,6 +68,47 @@ def test_expert_lands_softly_on_the_pad(seed):
     assert modes[0] == "approach" and "flare" in modes
 
 
+@pytest.mark.parametrize("aside", [0.0, 1.5])
+@pytest.mark.parametrize("height", [0.7, 1.5, 2.4])
+def test_touchdown_does_not_depend_on_the_start(height, aside):
+    """From 20 m before the pad, low or high, on the centre line or beside it: half a metre around
+    the planned 3.5 m and within 5 cm of the line. An integral of the way back alone would move the
+    touchdown by two metres from low and by one and a half from high, and by 15 cm aside.
+    """
+    world = SimulatedWorld(
+        rates_model(), AIRFRAME, cruising((PAD.x_start - 20.0, PAD.y_centre + aside, height)),
+        seed=2, pad=PAD,
+    )  # fmt: skip
+    fly(world, LandingExpert(rates_model(), AIRFRAME, PAD), 8.0)
+    touchdown = world.contact.touchdown
+    assert touchdown.past_threshold == pytest.approx(3.5, abs=0.5)
+    assert touchdown.absolute_lateral_deviation < 0.05
+
+
+@pytest.mark.parametrize("begins_beside", [True, False])
+def test_integrals_remove_a_bias_that_the_design_does_not_know(begins_beside):
+    """Elevator and aileron off by a fifth, over 35 m of a straight line from half a metre above it:
+    at the end within 5 cm of it; without integrals farther off, and for good.
+    """
+    model = with_effect("trim_bias", bias_aileron=0.2, bias_elevator=0.2, bias_rudder=0.0)
+    ends = []
+    for integrates in (True, False):
+        world = SimulatedWorld(model, AIRFRAME, cruising((-19.0, -2.0, 2.5)), seed=1)
+        pilot = Autopilot(rates_model(), integrates=integrates, begins_beside=begins_beside)
+        past, offsets = np.zeros((30, 4)), []
+        while world.t < 5.0:
+            state = world.state
+            line = Reference(np.array([state.p_world[0], -2.0, 2.0]), 0.0, 0.0, 7.0, 0.0)
+            command = pilot.command(state, line, past)
+            past = np.concatenate([past[1:], command.vector[None]])
+            world.send(world.t, command)
+            world.advance(world.t + 0.05)
+            offsets.append(np.abs(world.state.p_world - line.p_world)[1:])
+        ends.append(np.mean(offsets[-10:], axis=0))
+    assert (ends[0] < 0.05).all()
+    assert (ends[1] > 0.1).all()
+
+
 def test_landing_path_touches_where_it_aims():
     """Geometry: above the pad over the threshold; the wheels reach its top 3.5 m past the threshold
     at a slope of 0.035; the glide descends at 4 deg.
