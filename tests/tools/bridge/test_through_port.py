@@ -14,7 +14,7 @@ from falconwing_kit.core.messages import Command
 from falconwing_kit.flight.tasks import LandingTask, trial_seed
 from falconwing_kit.tools.bridge.open_port import PORTS, simulated_board
 from falconwing_kit.tools.bridge.python_board import PythonBoard
-from falconwing_kit.tools.bridge.through_port import PortWorld
+from falconwing_kit.tools.bridge.through_port import PORT_DELAY_S, PortWorld
 from falconwing_kit.tools.trials.trials import (
     TrialSettings,
     fly_trial,
@@ -29,14 +29,14 @@ MICROSECOND = 1.0 / 500.0  # of stick: 500 us from the centre to an end
 
 
 class RecordingWorld:
-    """Notes what reaches the radio."""
+    """Notes what reaches the radio, and when; the world gets the port's mean delay taken off."""
 
     def __init__(self) -> None:
         self.world = LandingTask().trial(trial_seed(0)).world
         self.came: list[tuple[float, Command]] = []
 
     def send(self, t, command):
-        self.came.append((t, command))
+        self.came.append((t + PORT_DELAY_S, command))
 
     def advance(self, t):
         self.t = t
@@ -89,6 +89,24 @@ def test_a_new_command_reaches_the_radio_within_two_frames(board):
         fly(port_world, 0.3, replace(STICKS, elevator=-0.2), begin=0.5)
     first = next(t for t, command in world.came if command.elevator < 0.0)
     assert 0.5014 < first < 0.5 + 0.032
+
+
+def test_commands_come_on_average_as_late_as_without_the_port(board):
+    """By hand: 16 bytes at 115,200 baud 1.4 ms, half a frame of 22 ms and four slots of 1.5 ms are
+    18.4 ms, which the world's own delay has in it already; to 2 ms.
+    """
+    world, late = RecordingWorld(), []
+    with PortWorld(world, board) as port_world:
+        fly(port_world, 0.5)
+        for k in range(22):  # every 50 ms: every phase of a frame; small steps, no slew limit
+            fly(port_world, 0.05, replace(STICKS, elevator=(-0.02, 0.02)[k % 2]), 0.5 + 0.05 * k)
+        port_world.advance(1.65)
+    for k in range(22):
+        sent, sign = 0.5 + 0.05 * k, (-1.0, 1.0)[k % 2]
+        late.append(min(t for t, command in world.came if t > sent and sign * command.elevator > 0))
+        late[-1] -= sent
+    assert np.mean(late) == pytest.approx(0.0184, abs=0.002)
+    assert pytest.approx(0.0184, abs=0.002) == PORT_DELAY_S
 
 
 def test_a_silent_host_is_flown_without_throttle(board):

@@ -408,7 +408,7 @@ def test_the_nominal_model_flies_as_without_one(tmp_path, capsys):
     found = json.loads(said)
     assert {key: found[key] for key in without} == without
     bias = next(effect for effect in CATALOGUE if effect.name == "trim_bias")
-    biased = rates_model().with_effect(bias).with_values({"bias_aileron": 0.1})
+    biased = rates_model().with_effect(bias).with_values({"bias_aileron": 0.3})
     main([*words, "--model", model_file(tmp_path / "biased.toml", biased)])
     assert abs(results(capsys)["ald_m"]["mean"] - without["ald_m"]["mean"]) > 0.005
 
