@@ -50,9 +50,10 @@ FINAL = 60.0  # length of the glide before the flare [m]
 GAP_GAIN = 0.8  # speed correction per metre of gap error [1/s]
 MAX_SPEED_CORRECTION = 1.2  # [m/s]
 WALL_MARGIN = 0.8  # of a follower to walls, floor and beams [m]; its half span is 0.35 m
+SAME_COMMAND = 1e-3  # of a command that comes back from a log or a network [stick]
 NO_STATE = "no state"
 AutopilotType = Callable[[Model, float, float], Autopilot | SuccessiveAutopilot]
-# of landings, which begin beside the glide path and have three seconds to come back to it
+# of landings, which begin beside the glide path and have about three seconds to come back to it
 LANDING_AUTOPILOT = partial(Autopilot, begins_beside=True)
 
 
@@ -91,6 +92,7 @@ class EstimatingAutopilot:
     ) -> None:  # fmt: skip
         self._autopilot = autopilot(model, speed, delay)
         self._observer = observer or Observer(model, speed, delay)
+        self._sent: Array | None = None  # (4,) the newest command of `track`
 
     def estimate(self, observation: Observation) -> State | None:
         """The estimated state; None where the observer has none."""
@@ -102,15 +104,25 @@ class EstimatingAutopilot:
         """The autopilot's command towards a reference.
 
         Where the aircraft's controls are e times as effective as the model's, a command that is
-        level + (u - level) / e acts on it as u would on the model.
+        level + (u - level) / e acts on it as u would on the model. Where the newest of the past
+        commands is not the one before, another has flown meanwhile.
         """
         past, e = observation.past_commands, self._observer.effectiveness
+        if self._sent is not None and not np.allclose(past[-1], self._sent, atol=SAME_COMMAND):
+            self._autopilot.begin_return()
+        command = self._command(state, reference, past, e, idle, observation.t)
+        self._sent = command.vector
+        return command
+
+    def _command(
+        self, state: State, reference: Reference, past: Array, e: Array, idle: bool, t: float
+    ) -> Command:
         if np.all(e == 1.0):
-            return self._autopilot.command(state, reference, past, idle, observation.t)
+            return self._autopilot.command(state, reference, past, idle, t)
         level = self.level().vector
         sent = np.any(past, axis=1, keepdims=True)  # rows of zeros count as never sent
         past = np.where(sent, level + e * (past - level), past)
-        wanted = self._autopilot.command(state, reference, past, idle, observation.t)
+        wanted = self._autopilot.command(state, reference, past, idle, t)
         command = Command.clip(*(level + (wanted.vector - level) / e))
         return replace(command, saturated=command.saturated or wanted.saturated)
 

@@ -382,6 +382,9 @@ class ReferenceTracker:
         throttle, *surfaces = self.command_map.commands(positions)
         return Command.clip(0.0 if idle else throttle, *surfaces)
 
+    def begin_return(self) -> None:
+        """Another has flown meanwhile; without a memory of the way back there is nothing to do."""
+
     def level(self) -> Command:
         """The commands of straight level flight through the air, for use without a state."""
         return self.to_command(self.trims.at(self.speed, 0.0, 0.0)[0], idle=False)
@@ -403,13 +406,15 @@ class Autopilot(ReferenceTracker):
             integrates: without integral action it is right only for the very model that flies, but
                 then also while another pilot flies: there is nothing in it that winds up.
             begins_beside: whether the flight begins beside its reference. Then the way back to it
-                is not integrated.
+                is not integrated, if its own commands act from the first one on.
         """
         trims, *self.loops = _design(*model_key(design_model(model)), speed, delay)
         super().__init__(model, speed, trims)
         self._integrates, self._begins_beside = integrates, begins_beside
         self._integrals = [np.zeros(len(loop.axis.integrals)) for loop in self.loops]
-        self._expected: list[Array | None] = [None for loop in self.loops]
+        self._expected: list[Array | None]
+        self._is_inside: list[bool]
+        self.begin_return()
 
     def command(
         self,
@@ -450,20 +455,28 @@ class Autopilot(ReferenceTracker):
                 self._integrate(k, x)
         return self.to_command(control_inputs, idle)
 
+    def begin_return(self) -> None:
+        """Expect a new way back, from the next deviation on: another has flown meanwhile."""
+        self._expected = [None for loop in self.loops]
+        self._is_inside = [False for loop in self.loops]
+
     def _integrate(self, k: int, x: Array) -> None:
         """Add the deviations x to the integrals of a loop, without those of the way back.
 
-        On its way back the design follows x[i+1] = (A - B K) x[i] without the integrals, from the
-        first deviation, or from the last one beyond the limit of the position error. Were that
-        integrated too, the aircraft would fly past its reference: an integral returns to zero only
-        where the areas on both sides are equal.
+        The way back is the design's own, x[i+1] = (A - B K) x[i] without the integrals and without
+        limits of the commands, from the first deviation within the limit of the position error.
+        Were it integrated too, the aircraft would fly past its reference: an integral returns to
+        zero only where the areas on both sides are equal. Deviations before it are left out, what
+        differs from it is integrated, and so is everything once it is over.
         """
         loop, states = self.loops[k], list(self.loops[k].axis.states)
         if self._begins_beside:
             name = next(name for name in states if name in POSITION_LIMITS)
             expected = self._expected[k]
-            if expected is None or abs(x[states.index(name)]) >= POSITION_LIMITS[name]:
+            is_inside = abs(x[states.index(name)]) < POSITION_LIMITS[name]
+            if expected is None or not (is_inside or self._is_inside[k]):
                 expected = x
+            self._is_inside[k] |= is_inside
             x, self._expected[k] = x - expected, loop.A_returning @ expected
         error = x[[states.index(name) for name in loop.axis.integrals]]
         # Anti-windup: the integrals are bounded [Astrom & Murray, sec. 11.4: windup].

@@ -30,8 +30,18 @@ NOTHING_SENT = np.zeros((30, 4))
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
 def test_closed_loop_poles_lie_inside_the_unit_circle(axis):
     """Discrete stability; the slowest pole, the integral's, falls to 1/e within eight seconds."""
-    size = np.abs(design_loop(rates_model(), axis).poles)
-    assert size.max() < np.exp(-CONTROL_PERIOD_S / 8.0)
+    loop = design_loop(rates_model(), axis)
+    assert np.abs(loop.poles).max() < np.exp(-CONTROL_PERIOD_S / 8.0)
+
+
+@pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.15, 0.5])
+def test_the_way_back_without_the_integrals_ends(axis, delay):
+    """It is what landings leave out of their integrals: stable, though only the whole loop has to
+    be [Astrom & Murray, sec. 7.4].
+    """
+    A = design_loop(rates_model(), axis, delay=delay).A_returning
+    assert np.abs(np.linalg.eigvals(A)).max() < 0.99
 
 
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)

@@ -18,7 +18,7 @@ from falconwing_kit.trainer_port.ppm import Calibration, load_calibration
 GROUND_S = 3.0  # maximum time on the ground until the board answers and follows
 SETTLE_S = 1.0  # on the ground after that, longer than the slew limits need
 POLL_S = 0.01  # between two reads from the board
-PORT_DELAY_S = 0.019  # mean, of the port: 16 bytes 1.4 ms, half a frame 11, four channels 6
+PORT_DELAY_S = 0.0184  # mean: 16 bytes 1.4 ms, half a frame 11 ms, four channels of 1.5 ms
 
 
 class PortWorld:
@@ -28,8 +28,8 @@ class PortWorld:
     begins. A board engages only near the pilot's sticks, so a SIMULATED pilot at the radio holds
     them where the first command is, and the board measures them; they stay there during the flight,
     for a stick that moves takes the aircraft from the computer. The radio acts on a frame when its
-    last channel is complete, and holds the last frame if the pulses stop. The world's own delay
-    has the port's mean in it (`control.loops.LINK_DELAY_S`), so that is taken off here.
+    last channel is complete, and holds the last frame if the pulses stop. The world's own delay,
+    `control.loops.LINK_DELAY_S`, has the port's mean in it, so that is taken off here.
     """
 
     def __init__(
@@ -107,8 +107,8 @@ class PortWorld:
     def advance(self, t: float) -> None:
         """Run the board to t [s], then the aircraft with the commands of its PPM frames.
 
-        A frame is complete when the next one begins, up to 16 ms after its last channel. That is
-        less than what is left of the world's own delay, so no frame is late.
+        A frame is complete when the next one begins, up to 18 ms after its last channel. That is
+        less than the 32 ms that are left of the world's own delay, so no frame is late.
         """
         if not math.isnan(self._zero):
             self._run_board(t)

@@ -252,7 +252,7 @@ class Fly:
             place = parse_place("--camera-at", self.camera_at)
             task = replace(task, airframe=replace(task.airframe, p_body_camera=place))
         if (bench := self._measured) is not None:
-            task = replace(task, model=bench.with_delay(task.model, bool(self.port)))
+            task = replace(task, model=bench.with_delay(task.model))
         return replace(task, start=_start(self.start, task)) if self.start else task
 
     def _drawn_task(self) -> Any:

@@ -51,7 +51,7 @@ class BenchCalibration:
             )
         return self.lens.lens
 
-    def with_delay(self, model: Model, through_port: bool) -> Model:
+    def with_delay(self, model: Model) -> Model:
         """The simulated aircraft behind the measured delays.
 
         The kit's world delays every command by LINK_DELAY_S; the difference to what was measured
@@ -59,14 +59,13 @@ class BenchCalibration:
 
         Args:
             model: with a delay.
-            through_port: the simulated trainer port adds `pulse_s` itself.
 
         Raises:
             InputError: there are no delays, or they are shorter than the world's own.
         """
         if self.latency is None:
             return model
-        total = self.latency.camera_s if through_port else self.latency.camera_to_pulse_s
+        total = self.latency.camera_to_pulse_s
         delay = model.values["delay"] + total - LINK_DELAY_S
         if delay < 0.0:
             raise InputError(

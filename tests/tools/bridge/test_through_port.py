@@ -106,7 +106,7 @@ def test_commands_come_on_average_as_late_as_without_the_port(board):
         late.append(min(t for t, command in world.came if t > sent and sign * command.elevator > 0))
         late[-1] -= sent
     assert np.mean(late) == pytest.approx(0.0184, abs=0.002)
-    assert pytest.approx(0.0184, abs=0.002) == PORT_DELAY_S
+    assert pytest.approx(0.0184) == PORT_DELAY_S
 
 
 def test_a_silent_host_is_flown_without_throttle(board):
@@ -192,11 +192,9 @@ def test_an_unknown_board_is_refused():
 
 @pytest.mark.timeout(900)  # a minute of CPU, more on a busy machine
 def test_a_hundred_landings_through_the_firmware_are_as_good_as_without():
-    """The issue's figures: every one on the pad, within 10 cm on average, and no worse than flown
-    without the port.
-
-    Two means over the same hundred starts differ by chance by at most three of the paired
-    differences' standard errors.
+    """Every one on the pad, within 5 cm of the centre line on average, and no more than 5 mm worse
+    than flown without the port. Some millimetres are the port's own: it limits the slew of the
+    sticks, and a frame may wait up to 22 ms for the next one.
     """
     require_tools()
     task = LandingTask()
@@ -204,9 +202,9 @@ def test_a_hundred_landings_through_the_firmware_are_as_good_as_without():
     without = fly_trials(task, task.expert, 100, pilot="expert")
     found = summarise_trials(through)
     assert found["successes"] == 100
-    assert found["ald_m"]["mean"] <= 0.10
+    assert found["ald_m"]["mean"] <= 0.05
     worse = np.array([a["ald_m"] - b["ald_m"] for a, b in zip(through, without, strict=True)])
-    assert worse.mean() < 3.0 * worse.std(ddof=1) / 10.0
+    assert worse.mean() < 0.005
     assert sum(record["port"]["commands_dropped"] for record in through) == 0
     print(
         f"ALD {100 * found['ald_m']['mean']:.1f} cm, without the port "

@@ -86,7 +86,7 @@ def test_a_lens_alone_needs_no_board(tmp_path, capsys):
     found = read_bench("lens.toml")
     assert found.latency is None and found.ppm is None and found.lens.views >= 10
     assert found.lens.lens.fx_px == pytest.approx(LENS.fx_px, rel=0.005)
-    assert found.with_delay(rates_model(), False).values == rates_model().values
+    assert found.with_delay(rates_model()).values == rates_model().values
     assert main([*words, "--out", "lens.toml"]) == 2
     assert "--replace" in capsys.readouterr().err
 
@@ -112,12 +112,11 @@ def test_wrong_use_is_one_sentence(words, sentence, capsys):
 
 
 def test_the_simulator_flies_the_measured_camera_and_delay(file):
-    """By hand: 90 ms measured where the world has 50: 40 ms more than the aircraft's own 20; with a
-    simulated port, which adds its own part, the camera's 70 ms alone: 20 ms more. The camera is
-    the lens's at the size of the images.
+    """By hand: 90 ms measured where the world has 50, through a simulated port too: 40 ms more than
+    the aircraft's own 20. The camera is the lens's at the size of the images.
     """
     assert Fly(bench=file)._task().model.values["delay"] == pytest.approx(0.06)
-    assert Fly(bench=file, port="sim")._task().model.values["delay"] == pytest.approx(0.04)
+    assert Fly(bench=file, port="sim")._task().model.values["delay"] == pytest.approx(0.06)
     assert Fly()._task().model.values["delay"] == pytest.approx(0.02)
     camera = Fly(bench=file, size="160x120")._setting().camera
     assert (camera.fx, camera.cy, camera.width) == pytest.approx((102.5, 58.5, 160))
@@ -158,7 +157,7 @@ def test_delays_that_cannot_be_simulated_are_refused():
     """Shorter than what the world has at least; a negative one is no measurement."""
     short = replace(MEASURED, latency=replace(LATENCY, camera_to_pulse_s=0.02))
     with pytest.raises(InputError, match=r"latency: expected 0\.03 s or more"):
-        short.with_delay(rates_model(), False)
+        short.with_delay(rates_model())
     with pytest.raises(InputError, match=r"latency\.camera_s"):
         replace(MEASURED, latency=replace(LATENCY, camera_s=-0.01))
 
