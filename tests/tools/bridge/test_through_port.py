@@ -192,8 +192,8 @@ def test_an_unknown_board_is_refused():
 
 @pytest.mark.timeout(900)  # a minute of CPU, more on a busy machine
 def test_a_hundred_landings_through_the_firmware_are_as_good_as_without():
-    """Every one on the pad, within 5 cm of the centre line on average, and no more than 5 mm worse
-    than flown without the port. Some millimetres are the port's own: it limits the slew of the
+    """Every one on the pad, within 5 cm of the centre line on average, and no more than 4 mm worse
+    than flown without the port. A millimetre or two are the port's own: it limits the slew of the
     sticks, and a frame may wait up to 22 ms for the next one.
     """
     require_tools()
@@ -204,7 +204,7 @@ def test_a_hundred_landings_through_the_firmware_are_as_good_as_without():
     assert found["successes"] == 100
     assert found["ald_m"]["mean"] <= 0.05
     worse = np.array([a["ald_m"] - b["ald_m"] for a, b in zip(through, without, strict=True)])
-    assert worse.mean() < 0.005
+    assert worse.mean() < 0.004
     assert sum(record["port"]["commands_dropped"] for record in through) == 0
     print(
         f"ALD {100 * found['ald_m']['mean']:.1f} cm, without the port "
