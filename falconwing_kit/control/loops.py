@@ -406,7 +406,7 @@ class Autopilot(ReferenceTracker):
             integrates: without integral action it is right only for the very model that flies, but
                 then also while another pilot flies: there is nothing in it that winds up.
             begins_beside: whether the flight begins beside its reference. Then the way back to it
-                is not integrated, if its own commands act from the first one on.
+                is not integrated, from where its own commands act.
         """
         trims, *self.loops = _design(*model_key(design_model(model)), speed, delay)
         super().__init__(model, speed, trims)

@@ -50,8 +50,12 @@ class StateSource(Protocol):
 class CommandSink(Protocol):
     """Destination of commands: a simulated world or the trainer port."""
 
-    def send(self, t: float, command: Command) -> None:
-        """Send a command at time t [s]; it is held until the next one."""
+    def send(self, t: float, command: Command) -> Command | None:
+        """Send a command at time t [s]; it is held until the next one.
+
+        Returns:
+            What goes out in its place, as where a person still flies; None: the command itself.
+        """
 
 
 class Pilot(Protocol):
@@ -315,7 +319,9 @@ class _Run:
             command = self.request_command(observation)
         command = self.supervise(t, command, state)
         with self.time_stage("send"):
-            loop.sink.send(t, command)
+            sent = loop.sink.send(t, command)
+        if sent is not None:
+            command = replace(sent, image_sequence=command.image_sequence)
         self.past_commands = np.vstack([self.past_commands[1:], command.vector])
         if loop.states is None:
             state = self.read_estimate()

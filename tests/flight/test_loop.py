@@ -73,6 +73,21 @@ class Pilot:
         return what() if callable(what) else what
 
 
+def test_the_pilot_is_told_what_a_sink_sent_in_its_place():
+    """A person flies the first three steps; the pilot's command goes out from the fourth on."""
+    sticks, recorder, pilot = Command(0.7, -0.4, 0.2, 0.0), Recorder(), Pilot()
+
+    class Port:
+        def send(self, t, command):
+            return sticks if t < 0.14 else None
+
+    Loop(pilot, Port(), Camera(), hooks=[recorder], clock=HandClock()).run(0.3)
+    told = [observation.past_commands[-1].tolist() for observation in pilot.observations]
+    assert told == [[0.0] * 4, *[[0.7, -0.4, 0.2, 0.0]] * 3, *[[0.5, 0.1, -0.2, 0.3]] * 2]
+    assert [step.command.vector.tolist() for step in recorder.steps[:-1]] == told[1:]
+    assert [step.command.image_sequence for step in recorder.steps] == [0, 0, 1, 1, 2, 2]
+
+
 def test_deadlines_do_not_drift():
     """10,000 steps, each 0.7 ms late: the last deadline is 9,999 * 50 ms, not 7 s later."""
     clock, seen = HandClock(late=0.0007), []

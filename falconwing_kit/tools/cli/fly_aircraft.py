@@ -97,14 +97,17 @@ class AircraftPort:
         self.engaged_at: float | None = None  # time of the loop [s]
         self._dropped: Mapping[str, Any] = {}  # details of the event that ended the engagement
 
-    def send(self, t: float, command: Command) -> None:
-        """Send the command at t [s], or the person's sticks while the board does not follow yet."""
+    def send(self, t: float, command: Command) -> Command:
+        """Send the command at t [s], or the person's sticks while the board does not follow yet;
+        what was sent, for these are the past commands that the pilot is told of.
+        """
         self.port.poll()
         self._read_events(t)
         if self.port.engagement != "engaged":
             sticks = pilot_sticks(self.port) or SAFE_COMMAND.vector.tolist()
             command = Command.clip(sticks[0], sticks[1], sticks[2], sticks[3])
         self.port.send(command, engage=True)
+        return command
 
     def hand_back(self) -> None:
         """Return control to the person; later commands are not followed."""

@@ -327,10 +327,11 @@ def test_the_board_engages_at_the_persons_sticks(sticks, first):
     """By hand from the shipped calibration, 1500 +- 500 us; idle and neutral without any."""
     port = FakePort(sticks)
     sink = AircraftPort(port)
-    sink.send(0.0, Command(0.9, 0.9, 0.9, 0.9))
+    told = [sink.send(0.0, Command(0.9, 0.9, 0.9, 0.9))]
     port.engagement = "engaged"
-    sink.send(0.05, Command(0.9, -0.9, 0.9, 0.9))
+    told.append(sink.send(0.05, Command(0.9, -0.9, 0.9, 0.9)))
     assert port.sent[0] == pytest.approx(first) and port.sent[1] == [0.9, -0.9, 0.9, 0.9]
+    assert [command.vector.tolist() for command in told] == port.sent
 
 
 def test_the_person_taking_over_is_an_end_and_a_fault_is_another():
