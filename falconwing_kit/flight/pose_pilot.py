@@ -108,7 +108,7 @@ class CameraObserver:
         lost = self.is_lost or estimate is None
         self.state = None if lost or estimate is None else State.from_vector(estimate.x[:12])
         if estimate is not None:
-            self.effectiveness[1:] = np.exp(estimate.x[12:])
+            self.effectiveness[1:] = np.exp(estimate.x[12:15])
         return self.state
 
     @property

@@ -10,8 +10,9 @@ State Estimation, sec. 13.2] whose process is the aircraft's model flown on the 
 
 x is in the order of STATE_NAMES: position, pitch yaw roll, velocity, body rates. Behind these come
 parameters of the process, estimated with them [Simon, sec. 13.4: parameter estimation]: how much
-more effective each control surface is than in the model, as logarithms. z is the camera's pose, R
-its covariance as the pose network states it, times `correlation`.
+more effective each control surface is than in the model, as logarithms, and the acceleration that
+the model leaves out [Friedland 1969: bias in recursive filtering]. z is the camera's pose, R its
+covariance as the pose network states it, times `correlation`.
 
 A pose belongs to the time at which its image was taken, which is some time ago. The filter goes
 back to that time, fuses the pose there, fuses again what is younger, and predicts to the present by
@@ -57,11 +58,11 @@ class Process(Protocol):
     """Motion of the state."""
 
     @property
-    def n_parameters(self) -> int:
-        """Parameters of its own, behind the 12 states; each is zero where the model is right."""
+    def parameter_sizes(self) -> Array:
+        """(n,) Usual sizes of its parameters; each parameter is zero where the model is right."""
 
     def advance(self, t: float, t_end: float, x: Array) -> Array:
-        """States and parameters (12 + n_parameters, B) at t_end [s] of those at t [s]."""
+        """States and parameters (12 + n, B) at t_end [s] of those at t [s]."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +89,11 @@ class FilterSettings:
     # Standard deviations of the start's velocity and rates, which one pose does not show.
     start_velocity_sigma: float = 1.5  # [m/s]
     start_rate_sigma: float = 1.0  # [rad/s]
-    # Parameters of the process: standard deviation at the start, noise of a step and largest size.
-    # For logarithms of factors: between 0.6 and 1.6 twice in three, and 1/6 to 6 at most.
-    start_parameter_sigma: float = 0.5
-    parameter_noise: float = 0.03
-    max_parameter: float = 1.8
+    # Parameters of the process, in their usual sizes: standard deviation at the start, noise of a
+    # step and largest value.
+    start_parameter_sigma: float = 1.0
+    parameter_noise: float = 0.06
+    max_parameter: float = 3.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +130,16 @@ class AircraftProcess:
     """An aircraft's model flown on the commands sent to it, which arrive after a delay.
 
     The control surfaces of the aircraft that flies may be more or less effective than the model's:
-    with factors e, a control position u acts as level + e (u - level) does on the model. The
+    with factors e, a control position u acts as level + e (u - level) does on the model. The first
     parameters are the logarithms of e for aileron, elevator and rudder.
+
+    Its forces differ too, and the wind's is none of the model's. The other parameters are the
+    acceleration in body axes that the model leaves out [m/s^2]. Without them an aircraft with more
+    lift is always higher than predicted: its filter climbs too late, and stays below it.
     """
 
-    n_parameters = 3
+    # 0.5: a factor between 0.6 and 1.6 twice in three; 1 m/s^2: a tenth of the lift.
+    parameter_sizes = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
 
     def __init__(self, model: Model, delay: float, level: Array | None = None) -> None:
         """Begin without a command.
@@ -155,15 +161,26 @@ class AircraftProcess:
         del self._times[:-COMMAND_HISTORY], self._commands[:-COMMAND_HISTORY]
 
     def advance(self, t: float, t_end: float, x: Array) -> Array:
-        """States and parameters (15, B) at t_end of those at t; neutral and idle without a command.
+        """States and parameters (18, B) at t_end of those at t; neutral and idle without a command.
 
-        The parameters stay.
+        The parameters stay. What the model leaves out acts half before and half after its flight
+        [Strang 1968: splitting].
         """
         times = np.array(self._times or [0.0])
         commands = np.array(self._commands or [np.zeros(4)])
-        factor = np.concatenate([np.zeros_like(x[:1]), x[12:]])  # the throttle's is one
-        flown = advance(self._model, t, t_end, x[:12], times, commands, np.exp(factor), self._level)
-        return np.concatenate([flown, x[12:]])
+        factor = np.concatenate([np.zeros_like(x[:1]), x[12:15]])  # the throttle's is one
+        x = x.copy()
+        x[6:9] += 0.5 * (t_end - t) * self._left_out(x)
+        x[:12] = advance(
+            self._model, t, t_end, x[:12], times, commands, np.exp(factor), self._level
+        )
+        x[6:9] += 0.5 * (t_end - t) * self._left_out(x)
+        return x
+
+    @staticmethod
+    def _left_out(x: Array) -> Array:
+        """The acceleration that the model leaves out, in the world (3, B)."""
+        return np.einsum("bij,jb->ib", rotation_world_body(x[5], x[3], x[4]), x[15:])
 
 
 class OnlineFilter:
@@ -266,17 +283,17 @@ class OnlineFilter:
         roll, pitch, yaw = map(float, euler_from_rotation(R_world_body))
         p_world = pose.T_world_camera[:3, 3] - R_world_body @ self._p_body_camera
         v_world = R_world_body @ self._v_body_start
-        n = self._process.n_parameters
+        sizes = self._process.parameter_sizes
+        n = len(sizes)
         x = np.concatenate([p_world, [pitch, yaw, roll], v_world, np.zeros(3 + n)])
         # The pose part of H is square: the covariance of the six is H^-1 R H^-T.
         H_inverse = np.linalg.inv(self._linearised(x)[:, :6])
         P = np.zeros((12 + n, 12 + n))
         P[:6, :6] = H_inverse @ pose.R @ H_inverse.T
-        sigmas = (
-            self.settings.start_velocity_sigma, self.settings.start_rate_sigma,
-            self.settings.start_parameter_sigma,
-        )  # fmt: skip
-        P[6:, 6:] = np.diag(np.repeat(np.square(sigmas), (3, 3, n)))
+        limits = self.settings
+        motion = np.repeat([limits.start_velocity_sigma, limits.start_rate_sigma], 3)
+        sigmas = np.concatenate([motion, limits.start_parameter_sigma * sizes])
+        P[6:, 6:] = np.diag(sigmas**2)
         if self._now is not None:  # what was found of the process stays true
             x[12:], P[12:, 12:] = self._now.x[12:], self._now.P[12:, 12:]
         self._now = Estimate(t, x, P)
@@ -288,7 +305,7 @@ class OnlineFilter:
         n = len(estimate.x)
         noise = np.zeros(n)
         noise[6:9], noise[9:12] = self.settings.velocity_noise, self.settings.rate_noise
-        noise[12:] = self.settings.parameter_noise
+        noise[12:] = self.settings.parameter_noise * self._process.parameter_sizes
         while estimate.t < t - TIME_ROUNDING:
             t_next = min(estimate.t + CONTROL_PERIOD_S, t)
             # One batch: the state, and each coordinate moved up and down for the derivative F.
@@ -318,7 +335,8 @@ class OnlineFilter:
         K = np.linalg.solve(S, H @ P).T  # P and S are symmetric
         x = x + K @ y
         x[3:6] = wrap_angle(x[3:6])
-        x[12:] = np.clip(x[12:], -self.settings.max_parameter, self.settings.max_parameter)
+        largest = self.settings.max_parameter * self._process.parameter_sizes
+        x[12:] = np.clip(x[12:], -largest, largest)
         rest = np.eye(len(x)) - K @ H
         P = rest @ P @ rest.T + K @ pose.R @ K.T
         return Estimate(t, x, 0.5 * (P + P.T))

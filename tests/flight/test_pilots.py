@@ -129,6 +129,39 @@ def test_an_aircraft_with_stronger_controls_lands():
     assert rolls[0] < 8.0 and rolls[1] > 20.0
 
 
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+def test_an_aircraft_with_other_lift_is_seen_at_its_height(factor):
+    """A fifth less or a quarter more lift than the model's: in the last second the height is within
+    5 cm on average, and the wheels touch 1.5 to 7 m past the threshold. A pilot that may not look
+    for what its model leaves out sees the strong one too low, the weak one too high, by over 5 cm.
+    """
+    model = rates_model()
+    other = model.with_values({k: factor * model.values[k] for k in ("cL_0", "cL_alpha")})
+    known, errors = FilterSettings(start_parameter_sigma=0.0, parameter_noise=0.0), []
+    for settings in (None, known):
+        net, trial = KnownPoses(2), LandingTask().trial(2)
+        world = SimulatedWorld(other, load_airframe(), trial.world.state, seed=2, pad=LandingPad())
+        pilot = PosePilot(
+            model, load_airframe(), LandingPad(), CAMERA, MOUNT, net, settings=settings
+        )
+        error = []
+        loop = Loop(
+            pilot, world, Camera(world, net),
+            hooks=[
+                lambda step, world=world, pilot=pilot, error=error: error.append(
+                    pilot.state.p_world[2] - world.state.p_world[2]
+                )
+            ],
+        )  # fmt: skip
+        loop.run(6.0, lambda step, world=world: "contact" if world.contact else "")
+        errors.append(np.mean(error[-20:]))
+        if settings is None:
+            assert world.contact.obstacle == "pad"
+            assert 1.5 < world.contact.touchdown.past_threshold < 7.0
+    assert abs(errors[0]) < 0.05
+    assert errors[1] * np.sign(1.0 - factor) > 0.05
+
+
 def fly(pilot, net, images, t0=0.0):
     """Commands and modes of a pilot that is given images one by one, whatever it commands."""
     past, found = np.zeros((30, 4)), []
