@@ -186,7 +186,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Observation:
-    """Input of a controller: newest image, its own past commands, and the state if it is known."""
+    """Input of a controller: newest image, past commands that acted, and the state if known."""
 
     t: float  # [s]
     image: Image | None

@@ -54,7 +54,7 @@ class CommandSink(Protocol):
         """Send a command at time t [s]; it is held until the next one.
 
         Returns:
-            What goes out in its place, as where a person still flies; None: the command itself.
+            What acts in its place, as where a person still flies; None: the command itself.
         """
 
 
@@ -227,7 +227,8 @@ class Loop:
     step and an event logged. A hook, a `mode` or a log that fails is dropped, and the flight goes
     on. If a source or sink raises, the flight ends and the error is raised. If the supervisor finds
     a fault, the safe command is sent in place of the pilot's, a sink with `hand_back` returns
-    control, and the flight ends. However a flight ends, the safe command is the last one sent.
+    control, and the flight ends. However a flight ends, the safe command is the last one given to
+    the sink.
     """
 
     pilot: Pilot
@@ -418,8 +419,8 @@ class _Run:
 
     def send_safe_command(self) -> None:
         """Send and log the safe command; the sink holds the last command indefinitely."""
-        self.loop.sink.send(self.loop.clock.now(), SAFE_COMMAND)
-        self.write(lambda log: log.command(self.loop.clock.now(), SAFE_COMMAND))
+        sent = self.loop.sink.send(self.loop.clock.now(), SAFE_COMMAND) or SAFE_COMMAND
+        self.write(lambda log: log.command(self.loop.clock.now(), sent))
 
     def add_event(self, name: str, details: Mapping[str, Any]) -> None:
         """Record and log an event."""

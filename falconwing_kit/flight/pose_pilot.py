@@ -74,7 +74,7 @@ class CameraObserver:
         self._camera, self._net = camera, net
 
         def make() -> tuple[AircraftProcess, OnlineFilter]:
-            process = AircraftProcess(model, delay, level.command)
+            process = AircraftProcess(model, delay, level.command, speed)
             return process, OnlineFilter(process, v_body, p_body_camera, settings)
 
         self._make = make

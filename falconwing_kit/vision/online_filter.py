@@ -10,9 +10,9 @@ State Estimation, sec. 13.2] whose process is the aircraft's model flown on the 
 
 x is in the order of STATE_NAMES: position, pitch yaw roll, velocity, body rates. Behind these come
 parameters of the process, estimated with them [Simon, sec. 13.4: parameter estimation]: how much
-more effective each control surface is than in the model, as logarithms, and the acceleration that
-the model leaves out [Friedland 1969: bias in recursive filtering]. z is the camera's pose, R its
-covariance as the pose network states it, times `correlation`.
+more effective each control surface is than in the model, as logarithms, and the unmodelled
+acceleration [Friedland 1969: bias in recursive filtering]. z is the camera's pose, R its covariance
+as the pose network states it, times `correlation`.
 
 A pose belongs to the time at which its image was taken, which is some time ago. The filter goes
 back to that time, fuses the pose there, fuses again what is younger, and predicts to the present by
@@ -58,8 +58,10 @@ class Process(Protocol):
     """Motion of the state."""
 
     @property
-    def parameter_sizes(self) -> Array:
-        """(n,) Usual sizes of its parameters; each parameter is zero where the model is right."""
+    def parameter_sigmas(self) -> Array:
+        """(n,) Standard deviations of its parameters among aircraft, each in the parameter's unit;
+        a parameter is zero where the model is right.
+        """
 
     def advance(self, t: float, t_end: float, x: Array) -> Array:
         """States and parameters (12 + n, B) at t_end [s] of those at t [s]."""
@@ -69,8 +71,8 @@ class Process(Protocol):
 class FilterSettings:
     """Noise, gates and times of the filter."""
 
-    # Process noise of a step of 50 ms, as standard deviations: what the model leaves out. Chosen on
-    # seeds of tuning: less averages the network's errors over longer, more follows these errors.
+    # Process noise of a step of 50 ms, as standard deviations: what is unmodelled and not lasting.
+    # Chosen on seeds of tuning: less averages the network's errors over longer, more follows them.
     # Moments of controls are known least, and grow with speed squared: with 0.5 rad/s an aircraft
     # that rolled faster than its model was taken for one that flies 5 m/s faster.
     velocity_noise: float = 0.1  # [m/s]
@@ -89,8 +91,8 @@ class FilterSettings:
     # Standard deviations of the start's velocity and rates, which one pose does not show.
     start_velocity_sigma: float = 1.5  # [m/s]
     start_rate_sigma: float = 1.0  # [rad/s]
-    # Parameters of the process, in their usual sizes: standard deviation at the start, noise of a
-    # step and largest value.
+    # Parameters of the process, in shares of their standard deviations among aircraft: standard
+    # deviation at the start, noise of a step and largest value.
     start_parameter_sigma: float = 1.0
     parameter_noise: float = 0.06
     max_parameter: float = 3.6
@@ -133,23 +135,29 @@ class AircraftProcess:
     with factors e, a control position u acts as level + e (u - level) does on the model. The first
     parameters are the logarithms of e for aileron, elevator and rudder.
 
-    Its forces differ too, and the wind's is none of the model's. The other parameters are the
-    acceleration in body axes that the model leaves out [m/s^2]. Without them an aircraft with more
-    lift is always higher than predicted: its filter climbs too late, and stays below it.
+    Its forces differ too, and in a wind that the model has no term for. The other two parameters
+    are the unmodelled acceleration along the right wing and the belly at the usual speed [m/s^2];
+    as forces of the air it grows with speed squared. Without it an aircraft with more lift is
+    always higher than predicted, and its estimate stays below it. There is none along the nose:
+    with it, landings of tuning scattered more along the runway.
     """
 
-    # 0.5: a factor between 0.6 and 1.6 twice in three; 1 m/s^2: a tenth of the lift.
-    parameter_sizes = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
+    # 0.5: a factor between 0.6 and 1.6 twice in three, 1/6 to 6 at most; 1 m/s^2: a tenth of the
+    # lift. Those of the acceleration were chosen on landings of tuning.
+    parameter_sigmas = np.array([0.5, 0.5, 0.5, 0.5, 1.0])
 
-    def __init__(self, model: Model, delay: float, level: Array | None = None) -> None:
+    def __init__(
+        self, model: Model, delay: float, level: Array | None = None, speed: float = 7.0
+    ) -> None:
         """Begin without a command.
 
         Args:
             model: the aircraft's.
             delay: from a command to its arrival at the aircraft [s]; the model adds its own.
             level: (4,) control positions of straight level flight; None for neutral and idle.
+            speed: the usual one, at which the unmodelled acceleration is stated [m/s].
         """
-        self._model, self._delay = model, delay
+        self._model, self._delay, self._speed = model, delay, speed
         self._level = np.zeros(4) if level is None else np.asarray(level, np.float64)
         self._times: list[float] = []
         self._commands: list[Array] = []
@@ -161,26 +169,27 @@ class AircraftProcess:
         del self._times[:-COMMAND_HISTORY], self._commands[:-COMMAND_HISTORY]
 
     def advance(self, t: float, t_end: float, x: Array) -> Array:
-        """States and parameters (18, B) at t_end of those at t; neutral and idle without a command.
+        """States and parameters (17, B) at t_end of those at t; neutral and idle without a command.
 
-        The parameters stay. What the model leaves out acts half before and half after its flight
-        [Strang 1968: splitting].
+        The parameters stay. The unmodelled acceleration acts half before and half after the model's
+        flight [Strang 1968: splitting].
         """
         times = np.array(self._times or [0.0])
         commands = np.array(self._commands or [np.zeros(4)])
         factor = np.concatenate([np.zeros_like(x[:1]), x[12:15]])  # the throttle's is one
         x = x.copy()
-        x[6:9] += 0.5 * (t_end - t) * self._left_out(x)
+        x[6:9] += 0.5 * (t_end - t) * self._unmodelled_acceleration(x)
         x[:12] = advance(
             self._model, t, t_end, x[:12], times, commands, np.exp(factor), self._level
         )
-        x[6:9] += 0.5 * (t_end - t) * self._left_out(x)
+        x[6:9] += 0.5 * (t_end - t) * self._unmodelled_acceleration(x)
         return x
 
-    @staticmethod
-    def _left_out(x: Array) -> Array:
-        """The acceleration that the model leaves out, in the world (3, B)."""
-        return np.einsum("bij,jb->ib", rotation_world_body(x[5], x[3], x[4]), x[15:])
+    def _unmodelled_acceleration(self, x: Array) -> Array:
+        """In the world (3, B) [m/s^2], of states and parameters (17, B)."""
+        a_body = np.concatenate([np.zeros_like(x[:1]), x[15:]])
+        a_body *= (x[6:9] ** 2).sum(axis=0) / self._speed**2
+        return np.einsum("bij,jb->ib", rotation_world_body(x[5], x[3], x[4]), a_body)
 
 
 class OnlineFilter:
@@ -283,8 +292,8 @@ class OnlineFilter:
         roll, pitch, yaw = map(float, euler_from_rotation(R_world_body))
         p_world = pose.T_world_camera[:3, 3] - R_world_body @ self._p_body_camera
         v_world = R_world_body @ self._v_body_start
-        sizes = self._process.parameter_sizes
-        n = len(sizes)
+        scales = self._process.parameter_sigmas
+        n = len(scales)
         x = np.concatenate([p_world, [pitch, yaw, roll], v_world, np.zeros(3 + n)])
         # The pose part of H is square: the covariance of the six is H^-1 R H^-T.
         H_inverse = np.linalg.inv(self._linearised(x)[:, :6])
@@ -292,7 +301,7 @@ class OnlineFilter:
         P[:6, :6] = H_inverse @ pose.R @ H_inverse.T
         limits = self.settings
         motion = np.repeat([limits.start_velocity_sigma, limits.start_rate_sigma], 3)
-        sigmas = np.concatenate([motion, limits.start_parameter_sigma * sizes])
+        sigmas = np.concatenate([motion, limits.start_parameter_sigma * scales])
         P[6:, 6:] = np.diag(sigmas**2)
         if self._now is not None:  # what was found of the process stays true
             x[12:], P[12:, 12:] = self._now.x[12:], self._now.P[12:, 12:]
@@ -305,7 +314,7 @@ class OnlineFilter:
         n = len(estimate.x)
         noise = np.zeros(n)
         noise[6:9], noise[9:12] = self.settings.velocity_noise, self.settings.rate_noise
-        noise[12:] = self.settings.parameter_noise * self._process.parameter_sizes
+        noise[12:] = self.settings.parameter_noise * self._process.parameter_sigmas
         while estimate.t < t - TIME_ROUNDING:
             t_next = min(estimate.t + CONTROL_PERIOD_S, t)
             # One batch: the state, and each coordinate moved up and down for the derivative F.
@@ -335,7 +344,7 @@ class OnlineFilter:
         K = np.linalg.solve(S, H @ P).T  # P and S are symmetric
         x = x + K @ y
         x[3:6] = wrap_angle(x[3:6])
-        largest = self.settings.max_parameter * self._process.parameter_sizes
+        largest = self.settings.max_parameter * self._process.parameter_sigmas
         x[12:] = np.clip(x[12:], -largest, largest)
         rest = np.eye(len(x)) - K @ H
         P = rest @ P @ rest.T + K @ pose.R @ K.T

@@ -133,7 +133,7 @@ def test_an_aircraft_with_stronger_controls_lands():
 def test_an_aircraft_with_other_lift_is_seen_at_its_height(factor):
     """A fifth less or a quarter more lift than the model's: in the last second the height is within
     5 cm on average, and the wheels touch 1.5 to 7 m past the threshold. A pilot that may not look
-    for what its model leaves out sees the strong one too low, the weak one too high, by over 5 cm.
+    for an unmodelled acceleration sees the strong one too low, the weak one too high, by over 5 cm.
     """
     model = rates_model()
     other = model.with_values({k: factor * model.values[k] for k in ("cL_0", "cL_alpha")})
@@ -153,7 +153,8 @@ def test_an_aircraft_with_other_lift_is_seen_at_its_height(factor):
                 )
             ],
         )  # fmt: skip
-        loop.run(6.0, lambda step, world=world: "contact" if world.contact else "")
+        flight = loop.run(6.0, lambda step, world=world: "contact" if world.contact else "")
+        assert len(error) == len(flight.t)
         errors.append(np.mean(error[-20:]))
         if settings is None:
             assert world.contact.obstacle == "pad"

@@ -85,7 +85,8 @@ class AircraftPort:
     """Sink of the loop: commands -> trainer port, which is engaged without a jump of the sticks.
 
     Until the board follows, it gets the person's own sticks, as its pilot input measures them, or
-    idle and neutral where it measures none; from then on the pilot's commands.
+    idle and neutral where it measures none; from then on the pilot's commands, and after a
+    hand-back idle and neutral.
 
     Args:
         port: ready.
@@ -95,22 +96,33 @@ class AircraftPort:
     def __init__(self, port: TrainerPort, log: "FlightLogWriter | None" = None) -> None:
         self.port, self._log = port, log
         self.engaged_at: float | None = None  # time of the loop [s]
+        self._is_over = False  # control was handed back
         self._dropped: Mapping[str, Any] = {}  # details of the event that ended the engagement
 
-    def send(self, t: float, command: Command) -> Command:
-        """Send the command at t [s], or the person's sticks while the board does not follow yet;
-        what was sent, for these are the past commands that the pilot is told of.
+    def send(self, t: float, command: Command) -> Command | None:
+        """Send the command at t [s], or the person's sticks while the board does not follow yet.
+
+        Returns:
+            The sticks where they are measured and fly in place of the command, for these are the
+            past commands that the pilot is told of; else None.
         """
         self.port.poll()
         self._read_events(t)
-        if self.port.engagement != "engaged":
-            sticks = pilot_sticks(self.port) or SAFE_COMMAND.vector.tolist()
-            command = Command.clip(sticks[0], sticks[1], sticks[2], sticks[3])
+        sticks: Command | None = None
+        if self._is_over or self.port.engagement == "dropped":
+            command = SAFE_COMMAND
+        elif self.port.engagement != "engaged":
+            measured = pilot_sticks(self.port)
+            if measured:
+                throttle, aileron, elevator, rudder = measured
+                sticks = Command.clip(throttle, aileron, elevator, rudder)
+            command = sticks or SAFE_COMMAND
         self.port.send(command, engage=True)
-        return command
+        return sticks
 
     def hand_back(self) -> None:
         """Return control to the person; later commands are not followed."""
+        self._is_over = True
         self.port.hand_back()
 
     def stop_reason(self, step: LoopStep) -> str:

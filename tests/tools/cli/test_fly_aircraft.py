@@ -318,6 +318,9 @@ class FakePort:
     def send(self, command, engage):
         self.sent.append(command.vector.tolist())
 
+    def hand_back(self):
+        pass
+
 
 @pytest.mark.parametrize(
     ("sticks", "first"),
@@ -327,11 +330,24 @@ def test_the_board_engages_at_the_persons_sticks(sticks, first):
     """By hand from the shipped calibration, 1500 +- 500 us; idle and neutral without any."""
     port = FakePort(sticks)
     sink = AircraftPort(port)
-    told = [sink.send(0.0, Command(0.9, 0.9, 0.9, 0.9))]
+    told = sink.send(0.0, Command(0.9, 0.9, 0.9, 0.9))
     port.engagement = "engaged"
-    told.append(sink.send(0.05, Command(0.9, -0.9, 0.9, 0.9)))
+    assert sink.send(0.05, Command(0.9, -0.9, 0.9, 0.9)) is None
     assert port.sent[0] == pytest.approx(first) and port.sent[1] == [0.9, -0.9, 0.9, 0.9]
-    assert [command.vector.tolist() for command in told] == port.sent
+    assert told is None if sticks is None else told.vector.tolist() == port.sent[0]
+
+
+@pytest.mark.parametrize("end", ["dropped", "handed back"])
+def test_after_the_end_idle_and_neutral_go_out(end):
+    """And not the sticks: the board is SAFE, whatever the person holds."""
+    port = FakePort((1600, 1650, 1500, 1450))
+    sink = AircraftPort(port)
+    if end == "dropped":
+        port.engagement = end
+    else:
+        sink.hand_back()
+    assert sink.send(1.0, Command(0.9, 0.9, 0.9, 0.9)) is None
+    assert port.sent == [[0.0, 0.0, 0.0, 0.0]]
 
 
 def test_the_person_taking_over_is_an_end_and_a_fault_is_another():
