@@ -135,11 +135,11 @@ class AircraftProcess:
     with factors e, a control position u acts as level + e (u - level) does on the model. The first
     parameters are the logarithms of e for aileron, elevator and rudder.
 
-    Its forces differ too, and in a wind that the model has no term for. The other two parameters
-    are the unmodelled acceleration along the right wing and the belly at the usual speed [m/s^2];
-    as forces of the air it grows with speed squared. Without it an aircraft with more lift is
-    always higher than predicted, and its estimate stays below it. There is none along the nose:
-    with it, landings of tuning scattered more along the runway.
+    Its forces differ too, and a wind that the model has no term for changes them. The other two
+    parameters are the unmodelled acceleration along the right wing and the belly at the usual speed
+    [m/s^2]; as the forces of the air it grows with speed squared. Without it an aircraft with more
+    lift is always higher than predicted, and its estimate stays below it. There is none along the
+    nose: with it, landings of tuning scattered more along the runway.
     """
 
     # 0.5: a factor between 0.6 and 1.6 twice in three, 1/6 to 6 at most; 1 m/s^2: a tenth of the
@@ -299,9 +299,9 @@ class OnlineFilter:
         H_inverse = np.linalg.inv(self._linearised(x)[:, :6])
         P = np.zeros((12 + n, 12 + n))
         P[:6, :6] = H_inverse @ pose.R @ H_inverse.T
-        limits = self.settings
-        motion = np.repeat([limits.start_velocity_sigma, limits.start_rate_sigma], 3)
-        sigmas = np.concatenate([motion, limits.start_parameter_sigma * scales])
+        start = self.settings
+        motion = np.repeat([start.start_velocity_sigma, start.start_rate_sigma], 3)
+        sigmas = np.concatenate([motion, start.start_parameter_sigma * scales])
         P[6:, 6:] = np.diag(sigmas**2)
         if self._now is not None:  # what was found of the process stays true
             x[12:], P[12:, 12:] = self._now.x[12:], self._now.P[12:, 12:]
