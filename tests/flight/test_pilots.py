@@ -100,28 +100,35 @@ def land(seed, change=lambda k, images: images[-1], states=None):
     return judge.result(), modes, np.array(commands), rms
 
 
+KNOWN = FilterSettings(start_parameter_sigma=0.0, parameter_noise=0.0)  # looks for no parameter
+
+
+def land_another(seed, settings, value, **factors):
+    """World and pilot after a landing of an aircraft whose values differ from the model's by
+    factors, and what `value(world, pilot)` was at each step.
+    """
+    model, net, values = rates_model(), KnownPoses(seed), []
+    other = model.with_values({name: k * model.values[name] for name, k in factors.items()})
+    start = LandingTask().trial(seed).world.state
+    world = SimulatedWorld(other, load_airframe(), start, seed=seed, pad=LandingPad())
+    pilot = PosePilot(model, load_airframe(), LandingPad(), CAMERA, MOUNT, net, settings=settings)
+    hook = [lambda step: values.append(value(world, pilot))]
+    flight = Loop(pilot, world, Camera(world, net), hooks=hook).run(
+        6.0, lambda step: "contact" if world.contact else ""
+    )
+    assert len(values) == len(flight.t)
+    return world, pilot, values
+
+
 def test_an_aircraft_with_stronger_controls_lands():
     """Ailerons three times and elevator and rudder twice as effective as the model's: the pilot
     finds that, and rolls less and less; one that may not look for it goes on rolling.
     """
-    model = rates_model()
-    strong = model.with_values(
-        {name: k * model.values[name] for name, k in (("L_da", 3.0), ("M_de", 2.0), ("N_dr", 2.0))}
-    )
-    known = FilterSettings(start_parameter_sigma=0.0, parameter_noise=0.0)
     rolls = []
-    for settings in (None, known):
-        net, trial = KnownPoses(1), LandingTask().trial(1)
-        world = SimulatedWorld(strong, load_airframe(), trial.world.state, seed=1, pad=LandingPad())
-        pilot = PosePilot(
-            model, load_airframe(), LandingPad(), CAMERA, MOUNT, net, settings=settings
+    for settings in (None, KNOWN):
+        world, pilot, roll = land_another(
+            1, settings, lambda world, pilot: world.state.roll, L_da=3.0, M_de=2.0, N_dr=2.0
         )
-        roll = []
-        loop = Loop(
-            pilot, world, Camera(world, net),
-            hooks=[lambda step, world=world, roll=roll: roll.append(world.state.roll)],
-        )  # fmt: skip
-        loop.run(6.0, lambda step, world=world: "contact" if world.contact else "")
         rolls.append(np.degrees(np.abs(roll[50:75])).max())
         if settings is None:
             assert world.contact.obstacle == "pad"
@@ -135,26 +142,12 @@ def test_an_aircraft_with_other_lift_is_seen_at_its_height(factor):
     5 cm on average, and the wheels touch 1.5 to 7 m past the threshold. A pilot that may not look
     for an unmodelled acceleration sees the strong one too low, the weak one too high, by over 5 cm.
     """
-    model = rates_model()
-    other = model.with_values({k: factor * model.values[k] for k in ("cL_0", "cL_alpha")})
-    known, errors = FilterSettings(start_parameter_sigma=0.0, parameter_noise=0.0), []
-    for settings in (None, known):
-        net, trial = KnownPoses(2), LandingTask().trial(2)
-        world = SimulatedWorld(other, load_airframe(), trial.world.state, seed=2, pad=LandingPad())
-        pilot = PosePilot(
-            model, load_airframe(), LandingPad(), CAMERA, MOUNT, net, settings=settings
-        )
-        error = []
-        loop = Loop(
-            pilot, world, Camera(world, net),
-            hooks=[
-                lambda step, world=world, pilot=pilot, error=error: error.append(
-                    pilot.state.p_world[2] - world.state.p_world[2]
-                )
-            ],
+    errors = []
+    for settings in (None, KNOWN):
+        world, _, error = land_another(
+            2, settings, lambda world, pilot: pilot.state.p_world[2] - world.state.p_world[2],
+            cL_0=factor, cL_alpha=factor,
         )  # fmt: skip
-        flight = loop.run(6.0, lambda step, world=world: "contact" if world.contact else "")
-        assert len(error) == len(flight.t)
         errors.append(np.mean(error[-20:]))
         if settings is None:
             assert world.contact.obstacle == "pad"
