@@ -36,7 +36,7 @@ from falconwing_kit.vision.policy import (
 from falconwing_kit.vision.policy_network import PolicyNetwork, calibrate
 
 WARMUP = 0.02  # share of the training over which the learning rate rises
-HUBER = 0.02  # error of a command or a state beyond which the loss is linear
+HUBER = 0.05  # error of a command or a state beyond which the loss is linear
 FINDER = "leader_mask"  # in the file of an interrupted training; no pilot has this name
 MASK_EVERY = 4  # one image of so many trains the masks
 # channels of colours and mask that a policy sees of these
