@@ -136,8 +136,12 @@ class Fly:
     """with --source camera: refuse a calibration of another radio"""
     checklists: Path = Path("records")
     """with --source camera: folder of the records of falconwing doctor --bench --out"""
-    seconds: float = 60.0
-    """with --source camera: the flight ends after so long"""
+    hand_over: Literal["enter", "now"] = "enter"
+    """with --source camera: when the board is asked to follow: each time that Enter is pressed,
+    while the person flies until then and after taking over; or at once and only once
+    """
+    seconds: float = 600.0
+    """with --source camera: the flight ends after so long, the person's part included"""
     max_image_age: float = 0.4
     """with --source camera: maximum age of the image behind a command [s]"""
     battery_s: float = math.inf

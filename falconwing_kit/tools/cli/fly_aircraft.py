@@ -1,11 +1,13 @@
 """`falconwing fly --port P --source camera`: a pilot by images -> a real aircraft, supervised.
 
 The same loop and supervisor as in simulation; only camera, board and clock are real. A person holds
-the radio and its trainer switch, which always takes the aircraft back.
+the radio and its trainer switch, which always takes the aircraft back, and flies until a helper at
+the computer presses Enter: only then is the board asked to follow.
 """
 
 import json
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -13,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from falconwing_kit.core.checks import InputError, require_range
-from falconwing_kit.core.messages import SAFE_COMMAND, Command
+from falconwing_kit.core.messages import SAFE_COMMAND, Command, State
 from falconwing_kit.flight.loop import Loop, LoopResult, LoopStep, WallClock
 from falconwing_kit.flight.pilots import PILOTS
 from falconwing_kit.flight.supervisor import Supervisor, SupervisorSettings
@@ -21,6 +23,7 @@ from falconwing_kit.tools.cli.board_status import StatusLine, open_ready_port, p
 from falconwing_kit.tools.cli.calibrate import SIMULATED_PORTS, choose_calibration
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.trainer_port.port import TrainerPort
+from falconwing_kit.vision.monitor import FrameMonitor
 
 if TYPE_CHECKING:
     from falconwing_kit.core.flight_log import FlightLogWriter
@@ -30,9 +33,10 @@ if TYPE_CHECKING:
     from falconwing_kit.tools.devices.calibration import BenchCalibration
 
 FIRST_IMAGE_S = 5.0  # longest wait for the camera
-ENGAGE_S = 15.0  # longest wait for the board to follow
+ENGAGE_S = 15.0  # longest wait for the board to follow once it is asked
 MAX_S = 3600.0  # of --seconds
-TAKEN_OVER = "the board left ACTIVE: the person flies"
+TAKEN_OVER = "the person took over with a stick"
+YOU_FLY = "YOU FLY. Enter: ask the board to follow; then hold the trainer switch"
 ENDINGS = ("duration", "interrupted", TAKEN_OVER)  # of a flight that went as it should
 
 
@@ -57,8 +61,8 @@ def fly_aircraft(fly: "Fly") -> int:
         images = _open_images(stack, fly, bench)
         is_straight = bench is not None and bench.lens is not None
         log = _open_log(stack, fly, port, lens, is_straight, p_body_camera)
-        sink = AircraftPort(port, log)
-        supervisor = _supervisor(fly, bench)
+        sink = AircraftPort(port, log, EnterKey() if fly.hand_over == "enter" else None)
+        supervisor = _supervisor(fly, bench, sink)
         loop = Loop(
             pilot, sink, images, clock=WallClock(), log=log, supervisor=supervisor,
             hooks=(_StatusHook(port),),
@@ -81,23 +85,54 @@ def builder_place() -> str:
     return ",".join(f"{x:g}" for x in load_airframe(builder_airframe_path()).p_body_camera)
 
 
+class EnterKey:
+    """The lines that a helper types on standard input, read without waiting for them."""
+
+    def __init__(self) -> None:
+        self.has_ended = sys.stdin is None  # True: nobody can press Enter any more
+        self._pressed = threading.Event()
+        if not self.has_ended:
+            threading.Thread(target=self._read, args=(sys.stdin,), daemon=True).start()
+
+    def take(self) -> bool:
+        """Whether Enter was pressed since the last call."""
+        was_pressed = self._pressed.is_set()
+        self._pressed.clear()
+        return was_pressed
+
+    def _read(self, lines: Any) -> None:
+        for _ in lines:
+            self._pressed.set()
+        self.has_ended = True
+
+
 class AircraftPort:
     """Sink of the loop: commands -> trainer port, which is engaged without a jump of the sticks.
 
     Until the board follows, it gets the person's own sticks, as its pilot input measures them, or
     idle and neutral where it measures none; from then on the pilot's commands, and after a
-    hand-back idle and neutral.
+    hand-back idle and neutral. With an Enter key the board is asked to follow when that is pressed,
+    as often as the person takes over with a stick; without one it is asked at once, once.
 
     Args:
         port: ready.
         log: for the port's events; None for none.
+        enter: asks; None asks at once.
     """
 
-    def __init__(self, port: TrainerPort, log: "FlightLogWriter | None" = None) -> None:
-        self.port, self._log = port, log
-        self.engaged_at: float | None = None  # time of the loop [s]
+    def __init__(
+        self, port: TrainerPort, log: "FlightLogWriter | None" = None, enter: EnterKey | None = None
+    ) -> None:
+        self.port, self._log, self._enter = port, log, enter
+        self.engaged_at: float | None = None  # time of the loop at which it followed first [s]
+        self.engagements = 0
+        self.is_asked = enter is None  # False: the person flies, and the board is not to follow
+        self.trouble = ""  # for which it is not asked now; set by the supervisor
+        self._asked_at = 0.0  # [s]
         self._is_over = False  # control was handed back
-        self._dropped: Mapping[str, Any] = {}  # details of the event that ended the engagement
+        self._dropped: Mapping[str, Any] = {}  # the event that ended the engagement
+        if enter is not None:
+            print(YOU_FLY, file=sys.stderr, flush=True)
 
     def send(self, t: float, command: Command) -> Command | None:
         """Send the command at t [s], or the person's sticks while the board does not follow yet.
@@ -108,8 +143,10 @@ class AircraftPort:
         """
         self.port.poll()
         self._read_events(t)
+        if self._enter is not None:
+            self._read_key(t, self._enter)
         sticks: Command | None = None
-        if self._is_over or self.port.engagement == "dropped":
+        if self._is_over or (self.port.engagement == "dropped" and self.is_asked):
             command = SAFE_COMMAND
         elif self.port.engagement != "engaged":
             measured = pilot_sticks(self.port)
@@ -117,7 +154,7 @@ class AircraftPort:
                 throttle, aileron, elevator, rudder = measured
                 sticks = Command.clip(throttle, aileron, elevator, rudder)
             command = sticks or SAFE_COMMAND
-        self.port.send(command, engage=True)
+        self.port.send(command, engage=self.is_asked)
         return sticks
 
     def hand_back(self) -> None:
@@ -127,30 +164,83 @@ class AircraftPort:
 
     def stop_reason(self, step: LoopStep) -> str:
         """Why the flight is over; empty to go on."""
-        if self.port.engagement == "dropped":
-            state, fault = self._dropped.get("state"), self._dropped.get("fault")
-            taken_over = (state, fault) == ("SAFE", "none")
+        if self.port.engagement == "dropped" and self.is_asked:
+            taken_over = self._dropped.get("event") == "pilot took over"
             return TAKEN_OVER if taken_over else f"the board dropped: {dict(self._dropped)}"
         if self.port.state in ("silent", "lost"):
             return f"port {self.port.state}"
-        if self.engaged_at is None and step.t > ENGAGE_S:
-            return f"the board did not engage within {ENGAGE_S:g} s"
+        if self._enter is None:
+            late = self.engaged_at is None and step.t > ENGAGE_S
+            return f"the board did not engage within {ENGAGE_S:g} s" if late else ""
+        if self._enter.has_ended and not self.is_asked:
+            return "standard input has ended, so nobody can press Enter; run it at a terminal"
         return ""
+
+    def _read_key(self, t: float, enter: EnterKey) -> None:
+        """Ask the board to follow when Enter is pressed; stop asking when the person took over."""
+        was_pressed = enter.take()
+        if self.is_asked:
+            is_dropped = self.port.engagement == "dropped"
+            if is_dropped and self._dropped.get("event") == "pilot took over":
+                self._stop_asking(t, "taken over")
+            elif self.port.engagement != "engaged" and t - self._asked_at > ENGAGE_S:
+                why = self.port.mismatch() or f"not within {ENGAGE_S:g} s"
+                self._stop_asking(t, f"the board did not follow: {why}")
+        elif was_pressed and self.trouble:
+            print(f"\anot asked: {self.trouble}", file=sys.stderr, flush=True)
+        elif was_pressed and not self._is_over:
+            self.is_asked, self._asked_at, self._dropped = True, t, {}
+            self._write_event(t, "asked to follow", {})
+
+    def _stop_asking(self, t: float, why: str) -> None:
+        self.is_asked = False
+        self._write_event(t, "not asked", {"why": why})
+        print(f"\n\a{why}. {YOU_FLY}", file=sys.stderr, flush=True)
 
     def _read_events(self, t: float) -> None:
         """Note and log what happened at the port."""
         while self.port.events:
             event = self.port.events.popleft()
             if event.name == "engaged":
-                self.engaged_at = t
-                print("ENGAGED: the pilot's commands go out", file=sys.stderr, flush=True)
-            if event.name in ("dropped", "no pulses", "bad command"):
+                self.engaged_at = t if self.engaged_at is None else self.engaged_at
+                self.engagements += 1
+                print("\aENGAGED: the pilot's commands go out", file=sys.stderr, flush=True)
+            if event.name in ("dropped", "pilot took over", "no pulses", "bad command"):
                 self._dropped = {"event": event.name, **event.details}
-            if self._log is not None:
-                try:
-                    self._log.event(t, event.name, event.details)
-                except InputError:  # a full disk; the loop, which writes here too, reports it
-                    self._log = None
+            self._write_event(t, event.name, event.details)
+
+    def _write_event(self, t: float, name: str, details: Mapping[str, Any]) -> None:
+        if self._log is not None:
+            try:
+                self._log.event(t, name, details)
+            except InputError:  # a full disk; the loop, which writes here too, reports it
+                self._log = None
+
+
+class HandOverSupervisor(Supervisor):
+    """A supervisor that judges from the hand-over on.
+
+    What it finds while the person flies ends nothing, but the board is not asked to follow then.
+
+    Args:
+        settings: limits.
+        sink: says who flies.
+    """
+
+    def __init__(self, settings: SupervisorSettings, sink: AircraftPort) -> None:
+        super().__init__(settings, by_images=True, monitor=FrameMonitor())
+        self._sink = sink
+
+    def check(
+        self, t: float, command: Command | None, state: State | None = None, pilot_s: float = 0.0
+    ) -> str:
+        """Judge a command before it is sent; empty while the person flies."""
+        reason = super().check(t, command, state, pilot_s)
+        if self._sink.is_asked:
+            return reason
+        self._sink.trouble = reason
+        self.reason, self.largest_age_s = "", 0.0
+        return ""
 
 
 @dataclass
@@ -245,15 +335,15 @@ def _open_images(stack: ExitStack, fly: "Fly", bench: "BenchCalibration | None")
     )
 
 
-def _supervisor(fly: "Fly", bench: "BenchCalibration | None") -> Supervisor:
+def _supervisor(
+    fly: "Fly", bench: "BenchCalibration | None", sink: AircraftPort
+) -> HandOverSupervisor:
     """The supervisor; the measured delay of the camera counts towards the age of an image."""
-    from falconwing_kit.vision.monitor import FrameMonitor
-
     max_age_s = fly.max_image_age
     if bench is not None and bench.latency is not None:
         max_age_s -= bench.latency.camera_s
     settings = SupervisorSettings(max_image_age_s=max_age_s, battery_s=fly.battery_s)
-    return Supervisor(settings, by_images=True, monitor=FrameMonitor())
+    return HandOverSupervisor(settings, sink)
 
 
 def _open_log(
@@ -292,6 +382,7 @@ def _record(
         "camera_at_m": fly.camera_at,
         "reason": supervisor.reason or flight.reason,
         "engaged_at_s": sink.engaged_at,
+        "engagements": sink.engagements,
         "seconds": round(float(flight.t[-1]), 2) if len(flight.t) else 0.0,
         "steps": len(flight.t),
         "skipped": flight.skipped,

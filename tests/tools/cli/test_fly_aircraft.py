@@ -4,6 +4,8 @@ file as camera, in real time; and every step that must come before it.
 
 import io
 import json
+import queue
+import threading
 import time
 import types
 from collections import deque
@@ -17,12 +19,13 @@ import pytest
 from falconwing_kit.core.checks import InputError
 from falconwing_kit.core.config import write_toml
 from falconwing_kit.core.flight_log import read_flight_log
-from falconwing_kit.core.messages import Command
+from falconwing_kit.core.messages import Command, Image
 from falconwing_kit.flight.pilots import PILOTS
+from falconwing_kit.flight.supervisor import SupervisorSettings
 from falconwing_kit.tools.bridge.simulated_board import BoardOnPty, SimulatedBoard
 from falconwing_kit.tools.cli import checklist as walking
 from falconwing_kit.tools.cli import fly as verb
-from falconwing_kit.tools.cli.fly_aircraft import AircraftPort
+from falconwing_kit.tools.cli.fly_aircraft import AircraftPort, EnterKey, HandOverSupervisor
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.tools.devices.grabber import Grabber
 from falconwing_kit.tools.hardware.bench_record import calibration_digest, require_bench_test
@@ -90,10 +93,10 @@ def steady(monkeypatch):
     monkeypatch.setattr(verb, "load_pilot", lambda *given, **more: Steady())
 
 
-def fly(line, video, *more):
+def fly(line, video, *more, hand_over="now"):
     return main(
         ["fly", "--port", line.path, "--source", "camera", "--camera", video, "--pilot", "pose",
-         "--radio", "NX8", "--out", "flights", "--json", *more]
+         "--radio", "NX8", "--out", "flights", "--json", "--hand-over", hand_over, *more]
     )  # fmt: skip
 
 
@@ -199,6 +202,72 @@ def test_a_flight_until_its_time_is_up_succeeds(bench, monkeypatch, capsys):
     assert json.loads(log.metadata["p_body_camera"]) == [0.036, 0.0, -0.075]
 
 
+class Keyboard:
+    """Standard input on which a test types."""
+
+    def __init__(self):
+        self.typed = queue.Queue()
+
+    def __iter__(self):
+        return iter(self.typed.get, "")
+
+
+def wait_for(condition, seconds=20.0):
+    end = time.perf_counter() + seconds
+    while not condition() and time.perf_counter() < end:
+        time.sleep(0.05)
+    return condition()
+
+
+@pytest.mark.usefixtures("steady")
+def test_the_person_flies_until_enter_and_again_after_a_stick(bench, monkeypatch, capsys):
+    """Take-off by hand moves the sticks and ends nothing. With Enter the steady pilot's 0.4 of
+    aileron, 1700 us, goes out; a stick that moves by 200 us takes over, which the pin shows as idle
+    and neutral; with Enter it goes out again. (Enter counts once the take-over is known here, so it
+    is pressed until then.)
+    """
+    video = write_video("clip.avi", 6 * [*range(70), *range(69, -1, -1)])
+    pass_bench_test(monkeypatch, bench, video)
+    capsys.readouterr()
+    keyboard, seen, newest = Keyboard(), {}, deque(maxlen=1)
+    monkeypatch.setattr("sys.stdin", keyboard)
+
+    def is_turning():
+        newest.extend(bench.ppm_frames())
+        return newest[0].slots_us[1] > 1650.0
+
+    def has_begun():
+        return any(True for _ in Path("flights").glob("*.mcap"))
+
+    def move_sticks(*channels_us):
+        with bench.pause() as board:
+            board.set_pilot(channels_us)
+
+    def act():
+        seen["begun"] = wait_for(has_begun)
+        for throttle in (1100.0, 1600.0):
+            move_sticks(throttle, 1500.0, 1700.0, 1500.0)
+            time.sleep(0.5)  # twenty frames of the radio
+            seen[f"by hand {throttle:.0f}"] = not is_turning()
+        for name, aileron in (("first", 1500.0), ("second", 1700.0)):
+            seen[name] = wait_for(lambda: keyboard.typed.put("\n") or is_turning())
+            move_sticks(1600.0, aileron + 200.0, 1700.0, 1500.0)
+            seen[f"taken over {name}"] = wait_for(lambda: not is_turning())
+        keyboard.typed.put("")  # the terminal is closed
+
+    actor = threading.Thread(target=act)
+    actor.start()
+    code = fly(bench, video, "--seconds", "60", hand_over="enter")
+    actor.join()
+    assert all(seen.values()) and len(seen) == 7, seen
+    found = json.loads(capsys.readouterr().out)
+    assert "nobody can press Enter" in found["reason"]
+    assert (code, found["engagements"]) == (1, 2)
+    log = read_flight_log(next(Path("flights").glob("*.mcap")))
+    names = [event.name for event in log.events]
+    assert names.count("engaged") == names.count("pilot took over") == 2
+
+
 def record(tmp_path, change=None, number=0, **more):
     """A record of a passed bench test, and what a test changes in it."""
     passed = {
@@ -302,7 +371,7 @@ class FakePort:
     def __init__(self, sticks=None):
         calibration = load_calibration()
         self.calibration, self.events, self.sent = calibration, deque(), []
-        self.engagement, self.state = "asking", "open"
+        self.engagement, self.state, self.engage = "asking", "open", []
         pilot = types.SimpleNamespace(device_time_us=0, channels_us=sticks)
         self.pilot = None if sticks is None else pilot
 
@@ -317,9 +386,19 @@ class FakePort:
 
     def send(self, command, engage):
         self.sent.append(command.vector.tolist())
+        self.engage.append(engage)
+        if not engage:
+            self.engagement = "off"
+
+    def mismatch(self):
+        return "a stick"
 
     def hand_back(self):
         pass
+
+    def drop(self, name, **details):
+        self.engagement = "dropped"
+        self.events.append(types.SimpleNamespace(name=name, details=details))
 
 
 @pytest.mark.parametrize(
@@ -351,17 +430,124 @@ def test_after_the_end_idle_and_neutral_go_out(end):
 
 
 def test_the_person_taking_over_is_an_end_and_a_fault_is_another():
-    """The board leaves ACTIVE by a stick: SAFE. By a timeout: LOST."""
+    """A stick takes over; a board that is SAFE without one has restarted, and LOST is a timeout."""
     step = types.SimpleNamespace(t=1.0)
-    for state, text in (("SAFE", "the person flies"), ("LOST", "dropped")):
+    for name, state, text in (
+        ("pilot took over", "SAFE", "the person took over"),
+        ("dropped", "SAFE", "the board dropped"),
+        ("dropped", "LOST", "the board dropped"),
+    ):
         port = FakePort()
         sink = AircraftPort(port)
-        event = types.SimpleNamespace(name="dropped", details={"state": state, "fault": "none"})
-        port.events.append(event)
-        port.engagement = "dropped"
+        port.drop(name, state=state, fault="none")
         sink.send(1.0, Command(0.0, 0.0, 0.0, 0.0))
         assert text in sink.stop_reason(step)
     port = FakePort()
     assert "did not engage" in AircraftPort(port).stop_reason(types.SimpleNamespace(t=15.1))
     port.state = "lost"
     assert AircraftPort(port).stop_reason(step) == "port lost"
+
+
+class Key:
+    """Enter, pressed by a test."""
+
+    has_ended = pressed = False
+
+    def take(self):
+        pressed, self.pressed = self.pressed, False
+        return pressed
+
+
+FULL = Command(0.9, 0.9, 0.9, 0.9)
+STICKS, IDLE = (1600, 1650, 1500, 1450), [0.0, 0.0, 0.0, 0.0]
+
+
+def steps(sink, port, key, *moments):
+    """What goes out at moments (t, Enter pressed): whether the board is asked, and the command."""
+    went = []
+    for t, pressed in moments:
+        key.pressed = pressed
+        sink.send(t, FULL)
+        went.append((port.engage[-1], port.sent[-1] != FULL.vector.tolist()))
+    assert sink.stop_reason(types.SimpleNamespace(t=moments[-1][0])) == ""
+    return went
+
+
+def test_the_board_is_asked_by_enter_and_again_after_a_stick():
+    """The person's sticks go out until it follows, and again once a stick has moved."""
+    port, key = FakePort(STICKS), Key()
+    sink = AircraftPort(port, enter=key)
+    assert steps(sink, port, key, (0.0, False), (20.0, False)) == [(False, True)] * 2
+    assert steps(sink, port, key, (20.05, True)) == [(True, True)]
+    port.engagement = "engaged"
+    assert steps(sink, port, key, (20.1, False)) == [(True, False)]
+    port.drop("pilot took over", state="SAFE", fault="none")
+    assert steps(sink, port, key, (20.15, False), (20.2, False)) == [(False, True)] * 2
+    assert port.sent[-1] == pytest.approx([0.6, 0.3, 0.0, -0.1])
+    assert steps(sink, port, key, (20.25, True)) == [(True, True)]
+
+
+def test_a_fault_of_the_board_ends_a_flight_with_enter_too():
+    """Idle and neutral go out, and Enter asks for nothing more."""
+    port, key = FakePort(STICKS), Key()
+    sink = AircraftPort(port, enter=key)
+    steps(sink, port, key, (0.0, True))
+    port.drop("dropped", state="LOST", fault="none")
+    key.pressed = True
+    sink.send(0.05, FULL)
+    assert port.sent[-1] == IDLE
+    assert "the board dropped" in sink.stop_reason(types.SimpleNamespace(t=0.05))
+
+
+def test_a_board_that_does_not_follow_is_asked_no_longer(capsys):
+    """After 15 s, with the stick that is off; and the person flies on."""
+    port, key = FakePort(STICKS), Key()
+    sink = AircraftPort(port, enter=key)
+    went = steps(sink, port, key, (5.0, True), (19.9, False), (20.1, False), (20.2, True))
+    assert [asked for asked, _ in went] == [True, True, False, True]
+    assert "did not follow: a stick" in capsys.readouterr().err
+
+
+def test_the_end_of_standard_input_ends_a_flight_that_nobody_can_hand_over():
+    """Unless the board follows already."""
+    port, key = FakePort(), Key()
+    sink = AircraftPort(port, enter=key)
+    key.has_ended = True
+    assert "nobody can press Enter" in sink.stop_reason(types.SimpleNamespace(t=1.0))
+    sink.is_asked = True
+    assert sink.stop_reason(types.SimpleNamespace(t=1.0)) == ""
+
+
+def test_enter_is_a_line_on_standard_input(monkeypatch):
+    """One press, taken once; then the input is over."""
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n"))
+    key = EnterKey()
+    assert wait_for(lambda: key.has_ended)
+    assert key.take() and not key.take()
+
+
+def test_what_the_supervisor_finds_while_the_person_flies_ends_nothing(capsys):
+    """An image of a second ago is too old for 0.4 s: no hand-over then, one after a new image, and
+    the same fault hands back from then on, with the age of that flight's images only.
+    """
+    port, key = FakePort(STICKS), Key()
+    sink = AircraftPort(port, enter=key)
+    judge = HandOverSupervisor(SupervisorSettings(), sink)
+    noise = np.random.default_rng(1)
+
+    def see(sequence, t):
+        pixels = noise.integers(0, 256, (120, 160, 3), np.uint8)
+        judge.see(Image(sequence, t, pixels), t)
+
+    def check(t, sequence):
+        return judge.check(t, replace(FULL, image_sequence=sequence))
+
+    see(1, 0.0)
+    assert check(0.0, 1) == "" and check(1.0, 1) == ""
+    assert steps(sink, port, key, (1.0, True)) == [(False, True)]
+    assert "not asked: the command answers an image of 1.00 s" in capsys.readouterr().err
+    see(2, 1.0)
+    assert check(1.05, 2) == ""
+    assert steps(sink, port, key, (1.05, True)) == [(True, True)]
+    assert check(1.25, 2) == "" and judge.largest_age_s == pytest.approx(0.25)
+    assert "an image of 1.00 s" in check(2.0, 2) and judge.reason
