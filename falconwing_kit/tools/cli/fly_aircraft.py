@@ -1,7 +1,7 @@
 """`falconwing fly --port P --source camera`: a pilot by images -> a real aircraft, supervised.
 
 The same loop and supervisor as in simulation; only camera, board and clock are real. A person holds
-the radio and its trainer switch, which always takes the aircraft back, and flies until a helper at
+the radio and its trainer switch, which always takes the aircraft back, and flies until the operator at
 the computer presses Enter: only then is the board asked to follow.
 """
 
@@ -86,7 +86,7 @@ def builder_place() -> str:
 
 
 class EnterKey:
-    """The lines that a helper types on standard input, read without waiting for them."""
+    """The lines that the operator types on standard input, read without waiting for them."""
 
     def __init__(self) -> None:
         self.has_ended = sys.stdin is None  # True: nobody can press Enter any more
