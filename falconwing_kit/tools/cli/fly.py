@@ -94,7 +94,7 @@ class Fly:
     start: str = ""
     """first pose of every flight in place of the drawn ones: x,y,z,roll,pitch,yaw in metres and
     degrees, such as --start=-18,-2,1.5,0,4,0; a flight log (.mcap), flown again from where its
-    pilot was engaged; or a flight table (.csv), whose first pose is taken
+    pilot was first engaged; or a flight table (.csv), whose first pose is taken
     """
     workers: int = 1
     """processes that share the trials; with --headless only"""
@@ -145,7 +145,9 @@ class Fly:
     max_image_age: float = 0.4
     """with --source camera: maximum age of the image behind a command [s]"""
     battery_s: float = math.inf
-    """with --source camera: hand back so long after the first command [s]"""
+    """with --source camera: so long after the program's start, the person's part included, control
+    is handed back, and Enter refused [s]
+    """
     out: Path | None = None
     """folder for log, table and figures; the same folder continues an interrupted study"""
     logs: bool = False

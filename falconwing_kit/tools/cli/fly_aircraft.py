@@ -1,16 +1,16 @@
 """`falconwing fly --port P --source camera`: a pilot by images -> a real aircraft, supervised.
 
 The same loop and supervisor as in simulation; only camera, board and clock are real. A person holds
-the radio and its trainer switch, which always takes the aircraft back, and flies until the operator at
-the computer presses Enter: only then is the board asked to follow.
+the radio and its trainer switch, which always takes the aircraft back, and flies until the operator
+at the computer presses Enter: only then is the board asked to follow.
 """
 
 import json
 import sys
 import threading
 import time
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,12 @@ from falconwing_kit.core.messages import SAFE_COMMAND, Command, State
 from falconwing_kit.flight.loop import Loop, LoopResult, LoopStep, WallClock
 from falconwing_kit.flight.pilots import PILOTS
 from falconwing_kit.flight.supervisor import Supervisor, SupervisorSettings
-from falconwing_kit.tools.cli.board_status import StatusLine, open_ready_port, pilot_sticks
+from falconwing_kit.tools.cli.board_status import (
+    StatusLine,
+    alert,
+    open_ready_port,
+    pilot_sticks,
+)
 from falconwing_kit.tools.cli.calibrate import SIMULATED_PORTS, choose_calibration
 from falconwing_kit.tools.cli.show import next_line, print_json, print_table
 from falconwing_kit.trainer_port.port import TrainerPort
@@ -35,8 +40,10 @@ if TYPE_CHECKING:
 FIRST_IMAGE_S = 5.0  # longest wait for the camera
 ENGAGE_S = 15.0  # longest wait for the board to follow once it is asked
 MAX_S = 3600.0  # of --seconds
+DEAF_S = 1.0  # without a press before Enter counts, from the start and after a take-over
 TAKEN_OVER = "the person took over with a stick"
-YOU_FLY = "YOU FLY. Enter: ask the board to follow; then hold the trainer switch"
+YOU_FLY = "You fly. Enter: ask the board to follow; then hold the trainer switch"
+LET_GO = "LET GO OF THE TRAINER SWITCH: the board sends idle and neutral"
 ENDINGS = ("duration", "interrupted", TAKEN_OVER)  # of a flight that went as it should
 
 
@@ -61,7 +68,8 @@ def fly_aircraft(fly: "Fly") -> int:
         images = _open_images(stack, fly, bench)
         is_straight = bench is not None and bench.lens is not None
         log = _open_log(stack, fly, port, lens, is_straight, p_body_camera)
-        sink = AircraftPort(port, log, EnterKey() if fly.hand_over == "enter" else None)
+        enter = EnterKey() if fly.hand_over == "enter" else None
+        sink = AircraftPort(port, log, enter, pilot.reset)
         supervisor = _supervisor(fly, bench, sink)
         loop = Loop(
             pilot, sink, images, clock=WallClock(), log=log, supervisor=supervisor,
@@ -70,7 +78,7 @@ def fly_aircraft(fly: "Fly") -> int:
         try:
             flight = loop.run(fly.seconds, sink.stop_reason)
         finally:  # at once: a camera or a disk may take seconds to close
-            port.hand_back()
+            sink.hand_back()
         record = _record(fly, port, sink, supervisor, flight)
     _show(fly, record)
     return 0 if sink.engaged_at is not None and flight.reason in ENDINGS else 1
@@ -101,8 +109,9 @@ class EnterKey:
         return was_pressed
 
     def _read(self, lines: Any) -> None:
-        for _ in lines:
-            self._pressed.set()
+        with suppress(OSError, ValueError):  # a closed terminal, a key that is no text
+            for _ in lines:
+                self._pressed.set()
         self.has_ended = True
 
 
@@ -118,21 +127,30 @@ class AircraftPort:
         port: ready.
         log: for the port's events; None for none.
         enter: asks; None asks at once.
+        reset: of the pilot, with which every hand-over begins: what it remembers of the person's
+            part, as a landing, is not of its own flight.
     """
 
     def __init__(
-        self, port: TrainerPort, log: "FlightLogWriter | None" = None, enter: EnterKey | None = None
-    ) -> None:
-        self.port, self._log, self._enter = port, log, enter
+        self, port: TrainerPort, log: "FlightLogWriter | None" = None,
+        enter: EnterKey | None = None, reset: Callable[[], object] = lambda: None,
+    ) -> None:  # fmt: skip
+        self.port, self._log, self._enter, self._reset = port, log, enter, reset
         self.engaged_at: float | None = None  # time of the loop at which it followed first [s]
         self.engagements = 0
-        self.is_asked = enter is None  # False: the person flies, and the board is not to follow
-        self.trouble = ""  # for which it is not asked now; set by the supervisor
-        self._asked_at = 0.0  # [s]
+        self.trouble = ""  # for which the board is not asked now; set by the supervisor
+        self._is_asked = enter is None  # False: the person flies, and the board is not to follow
+        self._asked_at, self._deaf_until = 0.0, DEAF_S  # [s]
+        self._had_sticks = False  # they were measured in this flight
         self._is_over = False  # control was handed back
         self._dropped: Mapping[str, Any] = {}  # the event that ended the engagement
         if enter is not None:
-            print(YOU_FLY, file=sys.stderr, flush=True)
+            _say(YOU_FLY)
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether a fault ends the flight: with Enter, only while the board follows."""
+        return self._enter is None or self.port.engagement == "engaged"
 
     def send(self, t: float, command: Command) -> Command | None:
         """Send the command at t [s], or the person's sticks while the board does not follow yet.
@@ -143,59 +161,74 @@ class AircraftPort:
         """
         self.port.poll()
         self._read_events(t)
-        if self._enter is not None:
-            self._read_key(t, self._enter)
+        measured = pilot_sticks(self.port)
+        self._had_sticks = self._had_sticks or bool(measured)
+        if self._enter is not None and not self._is_over:
+            self._read_key(t, self._enter.take(), bool(measured))
         sticks: Command | None = None
-        if self._is_over or (self.port.engagement == "dropped" and self.is_asked):
+        if self._is_over or (self.port.engagement == "dropped" and self._is_asked):
             command = SAFE_COMMAND
         elif self.port.engagement != "engaged":
-            measured = pilot_sticks(self.port)
             if measured:
                 throttle, aileron, elevator, rudder = measured
                 sticks = Command.clip(throttle, aileron, elevator, rudder)
             command = sticks or SAFE_COMMAND
-        self.port.send(command, engage=self.is_asked)
+        self.port.send(command, engage=self._is_asked)
         return sticks
 
     def hand_back(self) -> None:
         """Return control to the person; later commands are not followed."""
+        if self.port.engagement in ("engaged", "dropped") and not self._is_over:
+            alert(LET_GO)
         self._is_over = True
         self.port.hand_back()
 
     def stop_reason(self, step: LoopStep) -> str:
         """Why the flight is over; empty to go on."""
-        if self.port.engagement == "dropped" and self.is_asked:
-            taken_over = self._dropped.get("event") == "pilot took over"
-            return TAKEN_OVER if taken_over else f"the board dropped: {dict(self._dropped)}"
+        if self.port.engagement == "dropped" and self._is_asked:
+            return TAKEN_OVER if self._is_taken_over else f"the board dropped: {self._dropped}"
         if self.port.state in ("silent", "lost"):
             return f"port {self.port.state}"
         if self._enter is None:
             late = self.engaged_at is None and step.t > ENGAGE_S
             return f"the board did not engage within {ENGAGE_S:g} s" if late else ""
-        if self._enter.has_ended and not self.is_asked:
+        if self._enter.has_ended and not self._is_asked:
             return "standard input has ended, so nobody can press Enter; run it at a terminal"
         return ""
 
-    def _read_key(self, t: float, enter: EnterKey) -> None:
+    @property
+    def _is_taken_over(self) -> bool:
+        """Whether a stick ended the engagement."""
+        return self.port.engagement == "dropped" and self._dropped.get("event") == "pilot took over"
+
+    def _read_key(self, t: float, was_pressed: bool, has_sticks: bool) -> None:
         """Ask the board to follow when Enter is pressed; stop asking when the person took over."""
-        was_pressed = enter.take()
-        if self.is_asked:
-            is_dropped = self.port.engagement == "dropped"
-            if is_dropped and self._dropped.get("event") == "pilot took over":
-                self._stop_asking(t, "taken over")
-            elif self.port.engagement != "engaged" and t - self._asked_at > ENGAGE_S:
-                why = self.port.mismatch() or f"not within {ENGAGE_S:g} s"
-                self._stop_asking(t, f"the board did not follow: {why}")
-        elif was_pressed and self.trouble:
-            print(f"\anot asked: {self.trouble}", file=sys.stderr, flush=True)
-        elif was_pressed and not self._is_over:
-            self.is_asked, self._asked_at, self._dropped = True, t, {}
-            self._write_event(t, "asked to follow", {})
+        if self._is_asked:
+            if self._is_taken_over:
+                self._stop_asking(t, f"Taken over. {LET_GO}")
+            elif self.port.engagement in ("asking", "engaging"):
+                late = t - self._asked_at > ENGAGE_S
+                why = self.trouble or (late and (self.port.mismatch() or f"{ENGAGE_S:g} s passed"))
+                if why:
+                    self._stop_asking(t, f"The board does not follow: {why}.")
+        elif was_pressed and t < self._deaf_until:  # typed before the flight, or a key that is held
+            self._deaf_until = t + DEAF_S
+        elif was_pressed:
+            why = self.trouble
+            if self._had_sticks and not has_sticks:
+                why = why or "the sticks are measured no more, so no stick would take over"
+            if why:
+                self._write_event(t, "not asked", {"why": why})
+                _say(f"Not asked: {why}")
+            else:
+                self._is_asked, self._asked_at, self._dropped = True, t, {}
+                self._reset()
+                self._write_event(t, "asked to follow", {})
 
     def _stop_asking(self, t: float, why: str) -> None:
-        self.is_asked = False
+        self._is_asked, self._deaf_until = False, t + DEAF_S
         self._write_event(t, "not asked", {"why": why})
-        print(f"\n\a{why}. {YOU_FLY}", file=sys.stderr, flush=True)
+        _say(f"{why} {YOU_FLY}")
 
     def _read_events(self, t: float) -> None:
         """Note and log what happened at the port."""
@@ -204,7 +237,7 @@ class AircraftPort:
             if event.name == "engaged":
                 self.engaged_at = t if self.engaged_at is None else self.engaged_at
                 self.engagements += 1
-                print("\aENGAGED: the pilot's commands go out", file=sys.stderr, flush=True)
+                _say("\aENGAGED: the pilot's commands go out")
             if event.name in ("dropped", "pilot took over", "no pulses", "bad command"):
                 self._dropped = {"event": event.name, **event.details}
             self._write_event(t, event.name, event.details)
@@ -218,9 +251,10 @@ class AircraftPort:
 
 
 class HandOverSupervisor(Supervisor):
-    """A supervisor that judges from the hand-over on.
+    """A supervisor whose reason ends a flight only while the board follows.
 
-    What it finds while the person flies ends nothing, but the board is not asked to follow then.
+    What it finds while the person flies is forgotten there; as long as it is found, the board is
+    not asked to follow. With `--hand-over now` it judges from the first step on.
 
     Args:
         settings: limits.
@@ -229,18 +263,27 @@ class HandOverSupervisor(Supervisor):
 
     def __init__(self, settings: SupervisorSettings, sink: AircraftPort) -> None:
         super().__init__(settings, by_images=True, monitor=FrameMonitor())
-        self._sink = sink
+        self._sink, self._is_empty = sink, False
 
     def check(
         self, t: float, command: Command | None, state: State | None = None, pilot_s: float = 0.0
     ) -> str:
         """Judge a command before it is sent; empty while the person flies."""
+        largest_age_s = self.largest_age_s
         reason = super().check(t, command, state, pilot_s)
-        if self._sink.is_asked:
+        if self._sink.is_judged:
             return reason
+        if reason.startswith("battery") and not self._is_empty:
+            self._is_empty = True
+            alert(f"{reason}: land")
         self._sink.trouble = reason
-        self.reason, self.largest_age_s = "", 0.0
+        self.reason, self.largest_age_s = "", largest_age_s
         return ""
+
+
+def _say(sentence: str) -> None:
+    """Print a sentence on a line of its own, below the status line."""
+    print(f"\n{sentence}", file=sys.stderr, flush=True)
 
 
 @dataclass

@@ -223,10 +223,9 @@ def wait_for(condition, seconds=20.0):
 def test_the_person_flies_until_enter_and_again_after_a_stick(bench, monkeypatch, capsys):
     """Take-off by hand moves the sticks and ends nothing. With Enter the steady pilot's 0.4 of
     aileron, 1700 us, goes out; a stick that moves by 200 us takes over, which the pin shows as idle
-    and neutral; with Enter it goes out again. (Enter counts once the take-over is known here, so it
-    is pressed until then.)
+    and neutral; with Enter it goes out again.
     """
-    video = write_video("clip.avi", 6 * [*range(70), *range(69, -1, -1)])
+    video = write_video("clip.avi", 12 * [*range(70), *range(69, -1, -1)])
     pass_bench_test(monkeypatch, bench, video)
     capsys.readouterr()
     keyboard, seen, newest = Keyboard(), {}, deque(maxlen=1)
@@ -250,14 +249,16 @@ def test_the_person_flies_until_enter_and_again_after_a_stick(bench, monkeypatch
             time.sleep(0.5)  # twenty frames of the radio
             seen[f"by hand {throttle:.0f}"] = not is_turning()
         for name, aileron in (("first", 1500.0), ("second", 1700.0)):
-            seen[name] = wait_for(lambda: keyboard.typed.put("\n") or is_turning())
+            time.sleep(2.0)  # Enter counts a second after the take-over, and so from now on
+            keyboard.typed.put("\n")
+            seen[name] = wait_for(is_turning)
             move_sticks(1600.0, aileron + 200.0, 1700.0, 1500.0)
             seen[f"taken over {name}"] = wait_for(lambda: not is_turning())
         keyboard.typed.put("")  # the terminal is closed
 
-    actor = threading.Thread(target=act)
+    actor = threading.Thread(target=act, daemon=True)
     actor.start()
-    code = fly(bench, video, "--seconds", "60", hand_over="enter")
+    code = fly(bench, video, "--max-image-age", "0.8", hand_over="enter")
     actor.join()
     assert all(seen.values()) and len(seen) == 7, seen
     found = json.loads(capsys.readouterr().out)
@@ -389,6 +390,8 @@ class FakePort:
         self.engage.append(engage)
         if not engage:
             self.engagement = "off"
+        elif self.engagement == "off":
+            self.engagement = "asking"
 
     def mismatch(self):
         return "a stick"
@@ -463,76 +466,128 @@ STICKS, IDLE = (1600, 1650, 1500, 1450), [0.0, 0.0, 0.0, 0.0]
 
 
 def steps(sink, port, key, *moments):
-    """What goes out at moments (t, Enter pressed): whether the board is asked, and the command."""
+    """What goes out at moments (t, Enter pressed): whether the board is asked, and whether it is
+    the sticks and not the pilot's command.
+    """
     went = []
     for t, pressed in moments:
         key.pressed = pressed
         sink.send(t, FULL)
-        went.append((port.engage[-1], port.sent[-1] != FULL.vector.tolist()))
-    assert sink.stop_reason(types.SimpleNamespace(t=moments[-1][0])) == ""
+        went.append((port.engage[-1], port.sent[-1] == pytest.approx([0.6, 0.3, 0.0, -0.1])))
+        assert sink.stop_reason(types.SimpleNamespace(t=t)) == ""
     return went
 
 
 def test_the_board_is_asked_by_enter_and_again_after_a_stick():
-    """The person's sticks go out until it follows, and again once a stick has moved."""
-    port, key = FakePort(STICKS), Key()
-    sink = AircraftPort(port, enter=key)
+    """The person's sticks go out until it follows, and again once a stick has moved. Each hand-over
+    begins with the pilot's reset; Enter while it follows is forgotten.
+    """
+    port, key, resets = FakePort(STICKS), Key(), []
+    sink = AircraftPort(port, None, key, lambda: resets.append(port.engage[-1]))
     assert steps(sink, port, key, (0.0, False), (20.0, False)) == [(False, True)] * 2
     assert steps(sink, port, key, (20.05, True)) == [(True, True)]
     port.engagement = "engaged"
-    assert steps(sink, port, key, (20.1, False)) == [(True, False)]
+    assert steps(sink, port, key, (20.1, False), (20.15, True)) == [(True, False)] * 2
     port.drop("pilot took over", state="SAFE", fault="none")
-    assert steps(sink, port, key, (20.15, False), (20.2, False)) == [(False, True)] * 2
-    assert port.sent[-1] == pytest.approx([0.6, 0.3, 0.0, -0.1])
-    assert steps(sink, port, key, (20.25, True)) == [(True, True)]
+    assert steps(sink, port, key, (20.2, True), (25.0, False)) == [(False, True)] * 2
+    assert resets == [False]
+    assert steps(sink, port, key, (25.05, True)) == [(True, True)]
+    assert resets == [False, False]
 
 
-def test_a_fault_of_the_board_ends_a_flight_with_enter_too():
-    """Idle and neutral go out, and Enter asks for nothing more."""
+def test_enter_counts_after_a_second_without_one():
+    """Typed before the flight, or held down through a take-over, it asks for nothing."""
     port, key = FakePort(STICKS), Key()
-    sink = AircraftPort(port, enter=key)
-    steps(sink, port, key, (0.0, True))
-    port.drop("dropped", state="LOST", fault="none")
-    key.pressed = True
-    sink.send(0.05, FULL)
-    assert port.sent[-1] == IDLE
-    assert "the board dropped" in sink.stop_reason(types.SimpleNamespace(t=0.05))
+    sink = AircraftPort(port, None, key)
+    held = [(0.0, True), (0.9, True), (1.8, True)]  # each less than a second after the last
+    assert steps(sink, port, key, *held, (2.9, True)) == [(False, True)] * 3 + [(True, True)]
+    port.engagement = "engaged"
+    steps(sink, port, key, (3.0, False))
+    port.drop("pilot took over", state="SAFE", fault="none")
+    held = [(4.0, True), (4.05, True), (5.0, True)]
+    assert steps(sink, port, key, *held, (6.1, True)) == [(False, True)] * 3 + [(True, True)]
+
+
+@pytest.mark.parametrize("end", ["dropped", "no pulses", "handed back"])
+@pytest.mark.parametrize("t", [2.05, 30.0])
+def test_a_fault_ends_a_flight_with_enter_too(end, t, capsys):
+    """Idle and neutral go out, the person is told, and Enter asks for nothing more: soon after the
+    hand-over, and after the 15 s in which a board has to follow.
+    """
+    port, key = FakePort(STICKS), Key()
+    sink = AircraftPort(port, None, key)
+    steps(sink, port, key, (0.0, False), (2.0, True))
+    port.engagement = "engaged"
+    capsys.readouterr()
+    if end == "handed back":
+        sink.hand_back()
+    else:
+        port.drop(end, state="LOST", fault="none")
+    for moment in (t, t + 2.0):
+        key.pressed = True
+        sink.send(moment, FULL)
+        assert port.sent[-1] == IDLE
+    said = sink.stop_reason(types.SimpleNamespace(t=t))
+    assert end == "handed back" or "the board dropped" in said
+    sink.hand_back()
+    err = capsys.readouterr().err
+    assert err.count("LET GO") == 1 and "You fly" not in err
 
 
 def test_a_board_that_does_not_follow_is_asked_no_longer(capsys):
     """After 15 s, with the stick that is off; and the person flies on."""
     port, key = FakePort(STICKS), Key()
-    sink = AircraftPort(port, enter=key)
-    went = steps(sink, port, key, (5.0, True), (19.9, False), (20.1, False), (20.2, True))
+    sink = AircraftPort(port, None, key)
+    went = steps(sink, port, key, (5.0, True), (19.9, False), (20.1, False), (22.0, True))
     assert [asked for asked, _ in went] == [True, True, False, True]
-    assert "did not follow: a stick" in capsys.readouterr().err
+    assert "does not follow: a stick" in capsys.readouterr().err
+
+
+def test_sticks_that_are_measured_no_more_refuse_a_hand_over(capsys):
+    """For then no stick would take over; where none were measured at all, the manual allows it with
+    idle and neutral, as on the bench.
+    """
+    port, key = FakePort(STICKS), Key()
+    sink = AircraftPort(port, None, key)
+    steps(sink, port, key, (0.0, False))
+    port.pilot = None
+    key.pressed = True
+    sink.send(2.0, FULL)
+    assert port.engage[-1] is False and port.sent[-1] == IDLE
+    assert "measured no more" in capsys.readouterr().err
+    port, key = FakePort(), Key()
+    sink, key.pressed = AircraftPort(port, None, key), True
+    sink.send(2.0, FULL)
+    assert port.engage[-1] is True and port.sent[-1] == IDLE
 
 
 def test_the_end_of_standard_input_ends_a_flight_that_nobody_can_hand_over():
-    """Unless the board follows already."""
-    port, key = FakePort(), Key()
-    sink = AircraftPort(port, enter=key)
+    """Unless the board is asked already."""
+    port, key = FakePort(STICKS), Key()
+    sink = AircraftPort(port, None, key)
     key.has_ended = True
     assert "nobody can press Enter" in sink.stop_reason(types.SimpleNamespace(t=1.0))
-    sink.is_asked = True
-    assert sink.stop_reason(types.SimpleNamespace(t=1.0)) == ""
+    assert steps(sink, port, key, (2.0, True)) == [(True, True)]
 
 
 def test_enter_is_a_line_on_standard_input(monkeypatch):
-    """One press, taken once; then the input is over."""
+    """One press, taken once; then the input is over, as after a key that is no text."""
     monkeypatch.setattr("sys.stdin", io.StringIO("\n"))
     key = EnterKey()
     assert wait_for(lambda: key.has_ended)
     assert key.take() and not key.take()
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"\xff\n"), "utf-8"))
+    key = EnterKey()
+    assert wait_for(lambda: key.has_ended)
 
 
 def test_what_the_supervisor_finds_while_the_person_flies_ends_nothing(capsys):
     """An image of a second ago is too old for 0.4 s: no hand-over then, one after a new image, and
-    the same fault hands back from then on, with the age of that flight's images only.
+    the same fault hands back while the board follows. Its largest age is that of these images only.
     """
     port, key = FakePort(STICKS), Key()
-    sink = AircraftPort(port, enter=key)
-    judge = HandOverSupervisor(SupervisorSettings(), sink)
+    sink = AircraftPort(port, None, key)
+    judge = HandOverSupervisor(SupervisorSettings(battery_s=60.0), sink)
     noise = np.random.default_rng(1)
 
     def see(sequence, t):
@@ -543,11 +598,26 @@ def test_what_the_supervisor_finds_while_the_person_flies_ends_nothing(capsys):
         return judge.check(t, replace(FULL, image_sequence=sequence))
 
     see(1, 0.0)
-    assert check(0.0, 1) == "" and check(1.0, 1) == ""
-    assert steps(sink, port, key, (1.0, True)) == [(False, True)]
-    assert "not asked: the command answers an image of 1.00 s" in capsys.readouterr().err
-    see(2, 1.0)
-    assert check(1.05, 2) == ""
-    assert steps(sink, port, key, (1.05, True)) == [(True, True)]
-    assert check(1.25, 2) == "" and judge.largest_age_s == pytest.approx(0.25)
-    assert "an image of 1.00 s" in check(2.0, 2) and judge.reason
+    assert check(0.0, 1) == "" and check(2.0, 1) == ""
+    assert steps(sink, port, key, (2.0, True)) == [(False, True)]
+    assert "Not asked: the command answers an image of 2.00 s" in capsys.readouterr().err
+    see(2, 2.0)
+    assert check(2.05, 2) == ""
+    assert steps(sink, port, key, (2.05, True)) == [(True, True)]
+    assert check(3.0, 2) == ""  # asked, but it does not follow yet
+    assert steps(sink, port, key, (3.0, False)) == [(False, True)]
+    assert "does not follow: the command answers an image of 1.00 s" in capsys.readouterr().err
+    see(3, 5.0)
+    assert check(5.0, 3) == ""
+    assert steps(sink, port, key, (5.0, True)) == [(True, True)]
+    port.engagement = "engaged"
+    assert check(5.3, 3) == ""
+    port.drop("pilot took over", state="SAFE", fault="none")
+    assert steps(sink, port, key, (5.3, False)) == [(False, True)]
+    assert check(6.3, 3) == "" and judge.largest_age_s == pytest.approx(0.3)
+    capsys.readouterr()
+    see(4, 61.0)
+    assert check(61.0, 4) == "" and check(61.05, 4) == ""
+    assert capsys.readouterr().err.count("battery") == 1
+    port.engagement = "engaged"
+    assert "battery" in check(61.1, 4) and judge.reason
