@@ -16,7 +16,7 @@ HEADERS = ("round", "time [s]", "flights", "images", "steps", "loss", "success")
 class Train:
     """Train a policy by imitation of the expert (DAgger), on simulated flights of many aircraft.
 
-    With an NVIDIA GPU and gsplat the landing pilot that ships took two hours, in parts. Without a
+    With an NVIDIA GPU and gsplat the landing pilot that ships took three hours, in parts. Without a
     GPU take a small --size, few --flights and a scene of few Gaussians; that is enough to see it
     learn, not to land. An interrupted training is resumed by the same command.
     """
