@@ -205,7 +205,7 @@ class AircraftPort:
         """Ask the board to follow when Enter is pressed; stop asking when the person took over."""
         if self._is_asked:
             if self._is_taken_over:
-                self._stop_asking(t, f"Taken over. {LET_GO}")
+                self._stop_asking(t, f"Taken over. {LET_GO}.")
             elif self.port.engagement in ("asking", "engaging"):
                 late = t - self._asked_at > ENGAGE_S
                 why = self.trouble or (late and (self.port.mismatch() or f"{ENGAGE_S:g} s passed"))
