@@ -70,7 +70,7 @@ def fly_aircraft(fly: "Fly") -> int:
         log = _open_log(stack, fly, port, lens, is_straight, p_body_camera)
         enter = EnterKey() if fly.hand_over == "enter" else None
         sink = AircraftPort(port, log, enter, pilot.reset)
-        supervisor = _supervisor(fly, bench, sink)
+        supervisor = HandOverSupervisor(_limits(fly, bench), sink)
         loop = Loop(
             pilot, sink, images, clock=WallClock(), log=log, supervisor=supervisor,
             hooks=(_StatusHook(port),),
@@ -378,15 +378,12 @@ def _open_images(stack: ExitStack, fly: "Fly", bench: "BenchCalibration | None")
     )
 
 
-def _supervisor(
-    fly: "Fly", bench: "BenchCalibration | None", sink: AircraftPort
-) -> HandOverSupervisor:
-    """The supervisor; the measured delay of the camera counts towards the age of an image."""
+def _limits(fly: "Fly", bench: "BenchCalibration | None") -> SupervisorSettings:
+    """The supervisor's; the measured delay of the camera counts towards the age of an image."""
     max_age_s = fly.max_image_age
     if bench is not None and bench.latency is not None:
         max_age_s -= bench.latency.camera_s
-    settings = SupervisorSettings(max_image_age_s=max_age_s, battery_s=fly.battery_s)
-    return HandOverSupervisor(settings, sink)
+    return SupervisorSettings(max_image_age_s=max_age_s, battery_s=fly.battery_s)
 
 
 def _open_log(

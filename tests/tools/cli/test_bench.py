@@ -17,7 +17,7 @@ from falconwing_kit.core.config import write_toml
 from falconwing_kit.core.flight_log import FlightLogWriter, read_flight_log
 from falconwing_kit.core.messages import Command, Image
 from falconwing_kit.tools.cli.fly import Fly
-from falconwing_kit.tools.cli.fly_aircraft import _supervisor
+from falconwing_kit.tools.cli.fly_aircraft import _limits
 from falconwing_kit.tools.cli.main import main
 from falconwing_kit.tools.cli.poses import Poses, read_video
 from falconwing_kit.tools.cli.scene_photos import undistort_photos
@@ -136,8 +136,8 @@ def test_a_flight_with_the_measured_delay_is_another_flight(file, capsys):
 
 def test_the_cameras_delay_counts_towards_the_age_of_an_image():
     """An image is 70 ms old when it arrives, so it may be 330 ms old by its arrival, of 400."""
-    assert _supervisor(Fly(), MEASURED).settings.max_image_age_s == pytest.approx(0.33)
-    assert _supervisor(Fly(), None).settings.max_image_age_s == 0.4
+    assert _limits(Fly(), MEASURED).max_image_age_s == pytest.approx(0.33)
+    assert _limits(Fly(), None).settings.max_image_age_s == 0.4
 
 
 def test_a_real_aircraft_refuses_a_simulated_bench(tmp_path, monkeypatch, capsys):
