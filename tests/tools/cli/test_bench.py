@@ -137,7 +137,7 @@ def test_a_flight_with_the_measured_delay_is_another_flight(file, capsys):
 def test_the_cameras_delay_counts_towards_the_age_of_an_image():
     """An image is 70 ms old when it arrives, so it may be 330 ms old by its arrival, of 400."""
     assert _limits(Fly(), MEASURED).max_image_age_s == pytest.approx(0.33)
-    assert _limits(Fly(), None).settings.max_image_age_s == 0.4
+    assert _limits(Fly(), None).max_image_age_s == 0.4
 
 
 def test_a_real_aircraft_refuses_a_simulated_bench(tmp_path, monkeypatch, capsys):
