@@ -236,7 +236,7 @@ def test_the_person_flies_until_enter_and_again_after_a_stick(bench, monkeypatch
         return newest[0].slots_us[1] > 1650.0
 
     def has_begun():
-        return any(True for _ in Path("flights").glob("*.mcap"))
+        return any(Path("flights").glob("*.mcap"))
 
     def move_sticks(*channels_us):
         with bench.pause() as board:
